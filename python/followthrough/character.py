@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A skinned character as plain arrays: its surface at rest, what is painted on it, and its pose in one frame. No Blender here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Skinning = Literal["linear", "dual-quaternion"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What an armature does to a mesh's vertices, as Blender's Armature modifier does it.
+
+    Parameters
+    ----------
+    bone_indices : (v, k) int32
+        Bones that move a vertex; unused places have weight 0.
+    bone_weights : (v, k) float64
+        Their weights, as painted (not normalised). A vertex without weights is not moved by the armature.
+    bone_segments : (b, 2, 3) float64
+        Head and tail of every bone at rest, in the mesh's object space.
+    skinning
+        "dual-quaternion" where the modifier preserves volume.
+    """
+
+    bone_indices: IntArray
+    bone_weights: FloatArray
+    bone_segments: FloatArray
+    skinning: Skinning = "linear"
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A character's mesh at rest.
+
+    Parameters
+    ----------
+    rest_positions : (v, 3) float64
+        Vertices in the mesh's object space (the Basis shape).
+    triangles : (t, 3) int32
+    object_scale : (3, 3) float64
+        Symmetric stretch from object space to the world (the polar factor of the object's matrix), so that cells are cubes in
+        the world, in metres.
+    rig : Rig or None
+        None where something other than an armature moves the mesh; poses are then `SampledPose`.
+    """
+
+    rest_positions: FloatArray
+    triangles: IntArray
+    object_scale: FloatArray = field(default_factory=lambda: np.eye(3))
+    rig: Rig | None = None
+
+
+@dataclass(frozen=True)
+class Paint:
+    """What an artist painted, one value from 0 to 1 a surface vertex; (v,) float64 each.
+
+    `stiffness` 0 is the softest and 1 the stiffest, `mass` 0 the lightest and 1 the heaviest (0.5 is neutral), `pins` 0 free, 1 follows
+    the armature exactly, and anything between is a soft pin.
+    """
+
+    stiffness: FloatArray
+    mass: FloatArray
+    pins: FloatArray
+
+
+@dataclass(frozen=True)
+class BonePose:
+    """One frame of an armature.
+
+    Parameters
+    ----------
+    bone_matrices : (b, 4, 4) float64
+        From the mesh's object space at rest to the same space posed, one a bone of the `Rig`.
+    world : (4, 4) float64
+        From the mesh's object space to the world.
+    """
+
+    bone_matrices: FloatArray
+    world: FloatArray
+
+
+@dataclass(frozen=True)
+class SampledPose:
+    """One frame of a mesh that anything may move, sampled by three probes.
+
+    Parameters
+    ----------
+    positions : (v, 3) float64
+        Deformed vertices in object space.
+    jacobians : (v, 3, 3) float64
+        Derivative of a vertex's deformed position by its undeformed position.
+    world : (4, 4) float64
+        From the mesh's object space to the world.
+    """
+
+    positions: FloatArray
+    jacobians: FloatArray
+    world: FloatArray
+
+
+Pose = BonePose | SampledPose
+
+
+def distances_to_segments(points: FloatArray, segments: FloatArray) -> FloatArray:
+    """Distance of every point to the nearest of the segments.
+
+    Parameters
+    ----------
+    points : (p, 3) float64
+    segments : (b, 2, 3) float64
+
+    Returns
+    -------
+    (p,) float64, infinite where there is no segment.
+    """
+    nearest = np.full(len(points), np.inf)
+    for head, tail in segments:
+        along = tail - head
+        length_squared = float(along @ along)
+        t = np.clip((points - head) @ along / length_squared, 0.0, 1.0) if length_squared > 0 else np.zeros(len(points))
+        nearest = np.minimum(nearest, np.linalg.norm(points - head - t[:, None] * along, axis=1))
+    return nearest
+
+
+def flesh_thickness(surface: Surface) -> float:
+    """The character's usual distance from bone to skin where it is thickest: the 95th percentile over the surface, metres at rest.
+
+    0 where there is no armature.
+    """
+    if surface.rig is None or not len(surface.rig.bone_segments):
+        return 0.0
+    scale = surface.object_scale.T
+    distances = distances_to_segments(surface.rest_positions @ scale, surface.rig.bone_segments @ scale)
+    return float(np.percentile(distances, 95))
+
+
+def suggest_paint(surface: Surface) -> Paint:
+    """A start for an artist: skin close to a bone is pinned, and gets softer the farther it is from one ([ZS] 3.1, figure 8).
+
+    Without an armature nothing is pinned, and everything is of medium stiffness.
+    """
+    count = len(surface.rest_positions)
+    neutral = np.full(count, 0.5)
+    thickness = flesh_thickness(surface)
+    if surface.rig is None or thickness <= 0:
+        return Paint(stiffness=neutral, mass=neutral.copy(), pins=np.zeros(count))
+    scale = surface.object_scale.T
+    depth = distances_to_segments(surface.rest_positions @ scale, surface.rig.bone_segments @ scale) / thickness
+    fade = np.clip((0.6 - depth) / (0.6 - 0.35), 0.0, 1.0)
+    return Paint(
+        stiffness=np.clip(1.25 - depth, 0.0, 1.0),
+        mass=neutral,
+        pins=fade * fade * (3.0 - 2.0 * fade),
+    )

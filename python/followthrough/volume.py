@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The simulated volume of a character: tets around its rest pose, with bone weights and painted values on their vertices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from followthrough import mesh, skinning
+from followthrough.character import (
+    BonePose,
+    FloatArray,
+    IntArray,
+    Paint,
+    Pose,
+    SampledPose,
+    Surface,
+    distances_to_segments,
+    flesh_thickness,
+)
+from followthrough.settings import VolumeSettings
+
+#: Painted pins from here up follow the armature exactly.
+HARD_PIN = 1.0 - 1e-4
+
+
+@dataclass(frozen=True)
+class Volume:
+    """Tets around a character, made once on its rest pose.
+
+    Attributes
+    ----------
+    tet_mesh : TetMesh
+        Vertices (n, 3) in metres at rest, tets (m, 4), and the embedding of the surface's vertices.
+    rest_positions : (n, 3) float64
+        The same vertices in the mesh's object space, where skinning acts.
+    bone_indices : (n, k) int32, bone_weights : (n, k) float64
+        Which bones move a vertex of the volume; None where no armature does.
+    stiffness, mass, pins : (n,) float64
+        Painted values carried to the volume; `pins` includes the core around the bones.
+    """
+
+    surface: Surface
+    tet_mesh: mesh.TetMesh
+    rest_positions: FloatArray
+    bone_indices: IntArray | None
+    bone_weights: FloatArray | None
+    follower: mesh.SurfaceFollower | None
+    stiffness: FloatArray
+    mass: FloatArray
+    pins: FloatArray
+
+    @property
+    def pinned(self) -> NDArray[np.bool_]:
+        """(n,) bool: vertices that follow the reference exactly."""
+        return self.pins >= HARD_PIN
+
+    def reference(self, pose: Pose) -> FloatArray:
+        """Where the character's own rig puts the volume's vertices: (n, 3) in the world, metres."""
+        if isinstance(pose, BonePose):
+            if self.surface.rig is None or self.bone_indices is None or self.bone_weights is None:
+                raise ValueError("pose: found bone matrices, but this volume was made without a rig; expected a SampledPose")
+            local = skinning.pose_vertices(
+                self.rest_positions, self.bone_indices, self.bone_weights, pose.bone_matrices, self.surface.rig.skinning
+            )
+        else:
+            if self.follower is None:
+                raise ValueError("pose: found sampled positions, but this volume follows an armature; expected a BonePose")
+            local = self.follower(pose.positions)
+        return _transformed(local, pose.world)
+
+    def surface_displacements(self, dynamic: FloatArray, reference: FloatArray) -> FloatArray:
+        """Displacement of the surface's vertices (v, 3) by the volume's (n, 3), both in the world, metres."""
+        return mesh.interpolate(
+            dynamic - reference, self.tet_mesh.tets, self.tet_mesh.embedding_tets, self.tet_mesh.embedding_weights
+        )
+
+
+def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None = None) -> Volume:
+    """Make the volume of a character.
+
+    Parameters
+    ----------
+    surface
+        The character at rest.
+    paint
+        Painted values of its vertices.
+    settings
+        Size and method.
+
+    Raises
+    ------
+    ValueError
+        Where the surface is empty, not finite or its arrays do not fit each other, naming the array.
+    """
+    settings = settings or VolumeSettings()
+    count = len(surface.rest_positions)
+    for name in ("stiffness", "mass", "pins"):
+        values = getattr(paint, name)
+        if values.shape != (count,):
+            raise ValueError(f"paint.{name}: found shape {values.shape}, expected ({count},), one value a surface vertex")
+    metres = surface.rest_positions @ surface.object_scale.T
+    tet_mesh = mesh.tetrahedralize(
+        metres, surface.triangles, cells=settings.cells, split_parts=settings.split_parts, method=settings.method
+    )
+    transfer = mesh.SurfaceTransfer(metres, surface.triangles, tet_mesh)
+    painted = np.clip(transfer(np.column_stack([paint.stiffness, paint.mass, paint.pins])), 0.0, 1.0)
+    stiffness, mass, pins = painted.T.copy()
+
+    # A pinned vertex of the surface follows exactly only where every corner that carries it does.
+    corners = tet_mesh.tets[tet_mesh.embedding_tets]
+    pins[np.unique(corners[paint.pins >= HARD_PIN])] = 1.0
+
+    bone_indices = bone_weights = follower = None
+    if surface.rig is not None:
+        bone_indices, bone_weights = skinning.transfer_bone_weights(
+            transfer, surface.rig.bone_indices, surface.rig.bone_weights, len(surface.rig.bone_segments)
+        )
+        radius = settings.core_radius * flesh_thickness(surface)
+        if radius > 0:
+            # Inside the flesh the bones hold; where the surface hangs on a vertex, the painted group decides.
+            inside = np.ones(len(tet_mesh.vertices), dtype=bool)
+            inside[np.unique(corners)] = False
+            segments = surface.rig.bone_segments @ surface.object_scale.T
+            pins[inside & (distances_to_segments(tet_mesh.vertices, segments) <= radius)] = 1.0
+    else:
+        follower = mesh.SurfaceFollower(surface.rest_positions, surface.triangles, tet_mesh, surface.object_scale)
+    return Volume(
+        surface=surface,
+        tet_mesh=tet_mesh,
+        rest_positions=tet_mesh.vertices @ np.linalg.inv(surface.object_scale).T,
+        bone_indices=bone_indices,
+        bone_weights=bone_weights,
+        follower=follower,
+        stiffness=stiffness,
+        mass=mass,
+        pins=pins,
+    )
+
+
+def _transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+__all__ = ["HARD_PIN", "SampledPose", "Volume", "build_volume"]
