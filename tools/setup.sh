@@ -18,6 +18,8 @@ python=$(bash "$here/find_python.sh" ${PYTHON:+"$PYTHON"})
 version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 echo "Setting up $venv with Python $version"
 "$python" -c 'import ensurepip' 2>/dev/null || bash "$here/apt_require.sh" "python$version-venv"
+"$python" -c 'import pathlib, sysconfig; raise SystemExit(not (pathlib.Path(sysconfig.get_path("include")) / "Python.h").exists())' ||
+  bash "$here/apt_require.sh" "python$version-dev"
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
 
 # One list for everybody: the build's requirements, the library's own and the extras, read from pyproject.toml.
