@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+# The two commands of the README are `make demo` and `make test`; each sets up what it needs. `make help` lists the rest.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+
+VENV := .venv
+PY := $(VENV)/bin/python
+CMAKE := $(VENV)/bin/cmake
+SOURCES := $(shell find cpp/include cpp/src cpp/bindings cmake python -type f -not -name '*.so' -not -path '*/__pycache__/*') CMakeLists.txt pyproject.toml README.md
+CPP_FILES := $(shell find cpp tests/cpp -name '*.cpp' -o -name '*.hpp')
+DEMO_OUTPUT ?= demo-output
+BENCH_ARGS ?=
+
+.PHONY: help setup demo test test-cpp test-python test-blender test-blender-versions bench bench-bake lint format types tidy sanitize extension wheel clean
+
+help: ## List the targets
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 24
+
+$(VENV)/.tools: tools/setup.sh pyproject.toml
+	@bash tools/setup.sh $(VENV)
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.tools $(SOURCES)
+	@echo "Building and installing followthrough into $(VENV)"
+	@$(PY) -m pip install --quiet --no-build-isolation --no-deps --force-reinstall .
+	@touch $@
+
+setup: $(VENV)/.installed ## Make the virtual environment with everything in it; .venv/bin/followthrough is there afterwards
+
+demo: setup ## Build, paint and bake the demo character; writes a .blend, a picture and a video to demo-output/
+	@$(PY) tools/require_bpy.py
+	@$(PY) examples/demo.py --output $(DEMO_OUTPUT)
+
+test: test-cpp test-python test-blender ## All tests, the Blender ones in the virtual environment's bpy
+
+test-cpp: $(VENV)/.tools
+	@$(CMAKE) -S . -B build/tests -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(VENV)/bin/ninja -DPython_EXECUTABLE=$(CURDIR)/$(PY) \
+	  -DFOLLOWTHROUGH_PYTHON=OFF -DFOLLOWTHROUGH_TESTS=ON -DFOLLOWTHROUGH_VALIDATE=ON > build-tests.log || { cat build-tests.log; rm -f build-tests.log; exit 1; }
+	@rm -f build-tests.log
+	@$(CMAKE) --build build/tests
+	@$(VENV)/bin/ctest --test-dir build/tests --output-on-failure
+
+test-python: setup
+	@$(PY) -m pytest tests/python
+
+test-blender: setup
+	@$(PY) tools/require_bpy.py
+	@$(PY) -m pytest tests/blender
+
+test-blender-versions: $(VENV)/.tools ## The Blender tests in bpy 4.2, 4.5, 5.0 (Python 3.11) and 5.2 (Python 3.13)
+	@bash tools/test_blender_versions.sh
+
+bench: setup ## Benchmarks of the core beside memory copy speed, and of the bake beside stepping the frames
+	@bash tools/apt_require.sh libbenchmark-dev
+	@$(CMAKE) -S . -B build/bench -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(VENV)/bin/ninja -DPython_EXECUTABLE=$(CURDIR)/$(PY) \
+	  -DFOLLOWTHROUGH_PYTHON=OFF -DFOLLOWTHROUGH_BENCH=ON > /dev/null
+	@$(CMAKE) --build build/bench
+	@build/bench/followthrough_bench --benchmark_repetitions=5 --benchmark_enable_random_interleaving=true \
+	  --benchmark_report_aggregates_only=true $(BENCH_ARGS)
+	@$(MAKE) --no-print-directory bench-bake
+
+bench-bake: setup ## Bake time over the time of merely stepping the same frames in Blender
+	@$(PY) tools/require_bpy.py
+	@$(PY) cpp/bench/bake_time.py
+
+lint: $(VENV)/.tools types ## Check formatting, style, types and licence lines
+	@$(VENV)/bin/ruff check python addon tests examples tools cpp
+	@$(VENV)/bin/ruff format --check python addon tests examples tools cpp
+	@$(VENV)/bin/clang-format --dry-run --Werror $(CPP_FILES)
+	@$(PY) tools/check_licence_lines.py
+
+types: $(VENV)/.tools
+	@$(VENV)/bin/mypy
+
+tidy: $(VENV)/.tools ## Static analysis of the C++ core
+	@$(CMAKE) -S . -B build/tests -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(VENV)/bin/ninja -DPython_EXECUTABLE=$(CURDIR)/$(PY) \
+	  -DFOLLOWTHROUGH_PYTHON=OFF -DFOLLOWTHROUGH_TESTS=ON -DFOLLOWTHROUGH_VALIDATE=ON > /dev/null
+	@$(VENV)/bin/clang-tidy --quiet -p build/tests $(shell find cpp/src -name '*.cpp' -not -name '*.kernel.cpp')
+
+format: $(VENV)/.tools ## Format the sources
+	@$(VENV)/bin/ruff check --fix --quiet python addon tests examples tools cpp
+	@$(VENV)/bin/ruff format python addon tests examples tools cpp
+	@$(VENV)/bin/clang-format -i $(CPP_FILES)
+
+sanitize: $(VENV)/.tools ## The C++ tests under the address and undefined behaviour sanitizers
+	@$(CMAKE) -S . -B build/sanitize -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(VENV)/bin/ninja -DPython_EXECUTABLE=$(CURDIR)/$(PY) \
+	  -DCMAKE_BUILD_TYPE=RelWithDebInfo -DFOLLOWTHROUGH_PYTHON=OFF -DFOLLOWTHROUGH_TESTS=ON -DFOLLOWTHROUGH_VALIDATE=ON \
+	  -DFOLLOWTHROUGH_SANITIZE=address,undefined > /dev/null
+	@$(CMAKE) --build build/sanitize
+	@UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1 $(VENV)/bin/ctest --test-dir build/sanitize --output-on-failure
+
+extension: $(VENV)/.tools ## Build and validate the Blender extension's zip in dist/
+	@$(PY) tools/build_extension.py
+
+wheel: $(VENV)/.tools ## Build this Python's wheel in dist/
+	@$(PY) -m pip wheel --quiet --no-build-isolation --no-deps --wheel-dir dist .
+
+clean: ## Remove everything that was built
+	rm -rf build dist $(VENV) .venv-bpy* $(DEMO_OUTPUT) python/followthrough/*.so

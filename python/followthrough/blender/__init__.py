@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Characters in Blender: read them, bake their secondary motion to shape keys, clear it again. Imports `bpy`; no UI.
+
+The command line and the add-on both drive this::
+
+    from followthrough import blender
+
+    bake = blender.Bake(scene, {"Fox": blender.ObjectSettings()}, blender.FrameRange(start=1, end=48, preroll=10))
+    for progress in bake.run():        # one frame a step; `bake.cancel()` between any two leaves nothing changed
+        print(progress.done, progress.total)
+    report = bake.finish()             # writes the shape keys
+
+Messages of `NotBakeableError` and of every other `ValueError` are meant for the artist.
+"""
+
+from followthrough.blender.bake import Bake, BakeReport, FrameRange, ObjectReport, ObjectSettings, Progress
+from followthrough.blender.groups import (
+    MASS_GROUP,
+    PINS_GROUP,
+    STIFFNESS_GROUP,
+    PaintGroups,
+    PinGroup,
+    add_groups,
+    read_paint,
+    write_group,
+)
+from followthrough.blender.rig_reading import read_surface
+from followthrough.blender.scene import NotBakeableError, skinned_meshes, why_not_bakeable
+from followthrough.blender.shape_keys import baked_range, clear
+
+__all__ = [
+    "MASS_GROUP",
+    "PINS_GROUP",
+    "STIFFNESS_GROUP",
+    "Bake",
+    "BakeReport",
+    "FrameRange",
+    "NotBakeableError",
+    "ObjectReport",
+    "ObjectSettings",
+    "PaintGroups",
+    "PinGroup",
+    "Progress",
+    "add_groups",
+    "baked_range",
+    "clear",
+    "read_paint",
+    "read_surface",
+    "skinned_meshes",
+    "why_not_bakeable",
+    "write_group",
+]
