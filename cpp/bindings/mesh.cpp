@@ -32,7 +32,8 @@ void bind_mesh(py::module_& m) {
       py::arg("vertices"), py::arg("triangles"), py::arg("cells"), py::arg("cell_size"), py::arg("split_parts"),
       "Voxel tets around a surface; cell_size 0: from cells.", Released());
 
-  m.def("connected_parts", &connected_parts, py::arg("tets"), py::arg("vertex_count"), "Piece of the tet mesh of each vertex.", Released());
+  m.def("connected_parts", &connected_parts, py::arg("tets"), py::arg("vertex_count"), "Piece of the tet mesh of each vertex.",
+        Released());
 
   m.def(
       "embed",
@@ -65,13 +66,15 @@ void bind_mesh(py::module_& m) {
         "Generalized winding number of the surface around each point.", Released());
 
   py::class_<SurfaceTransfer>(m, "SurfaceTransfer", "Carries values from a surface into the volume around it.")
-      .def(py::init<ConstPositions, ConstTriangles, ConstPositions, ConstTets, ConstIndices, ConstIndices>(), py::arg("surface_vertices"),
-           py::arg("triangles"), py::arg("vertices"), py::arg("tets"), py::arg("own_offsets"), py::arg("own_triangles"), Released())
+      .def(py::init<ConstPositions, ConstTriangles, ConstPositions, ConstTets, ConstIndices, ConstIndices>(),
+           py::arg("surface_vertices"), py::arg("triangles"), py::arg("vertices"), py::arg("tets"), py::arg("own_offsets"),
+           py::arg("own_triangles"), Released())
       .def("__call__", &SurfaceTransfer::operator(), py::arg("values"), Released());
 
   py::class_<SurfaceFollower>(m, "SurfaceFollower", "Moves a volume with the surface in it.")
-      .def(py::init<ConstPositions, ConstTriangles, ConstPositions, ConstTets, ConstIndices, ConstIndices>(), py::arg("surface_vertices"),
-           py::arg("triangles"), py::arg("vertices"), py::arg("tets"), py::arg("own_offsets"), py::arg("own_triangles"), Released())
+      .def(py::init<ConstPositions, ConstTriangles, ConstPositions, ConstTets, ConstIndices, ConstIndices>(),
+           py::arg("surface_vertices"), py::arg("triangles"), py::arg("vertices"), py::arg("tets"), py::arg("own_offsets"),
+           py::arg("own_triangles"), Released())
       .def("__call__", &SurfaceFollower::operator(), py::arg("positions"), Released());
 }
 

@@ -66,7 +66,9 @@ def _list(name: str, values: ArrayLike, dtype: Any) -> NDArray[Any]:
 def _converted(name: str, found: NDArray[Any], dtype: Any) -> NDArray[Any]:
     whole = np.issubdtype(dtype, np.integer)
     if found.dtype.kind not in ("iu" if whole else "iuf"):
-        raise ValueError(f"{name}: found {found.dtype} numbers, expected {'whole numbers' if whole else 'real numbers'}")
+        raise ValueError(
+            f"{name}: found {found.dtype} numbers, expected {'whole numbers' if whole else 'real numbers'}"
+        )
     if whole and found.size and (found.max() > np.iinfo(np.int32).max or found.min() < np.iinfo(np.int32).min):
         raise ValueError(f"{name}: found index {found.max()}, expected less than 2**31")
     return np.ascontiguousarray(found, dtype=dtype)
@@ -167,7 +169,9 @@ def embed(points: ArrayLike, vertices: ArrayLike, tets: ArrayLike) -> tuple[IntA
     embedding_tets : (p,) int32
     embedding_weights : (p, 4) float64, summing to one
     """
-    carriers, weights = _core.embed(_rows("points", points, 3), _rows("vertices", vertices, 3), _rows("tets", tets, 4, np.int32))
+    carriers, weights = _core.embed(
+        _rows("points", points, 3), _rows("vertices", vertices, 3), _rows("tets", tets, 4, np.int32)
+    )
     return carriers, weights
 
 

@@ -32,8 +32,8 @@ std::vector<ClosestPoint> boundary_anchors(ConstPositions surface_vertices, Cons
     if (own_offsets.size() > 0) {
       for (Index at = own_offsets[asking[k]]; at < own_offsets[asking[k] + 1]; ++at) {
         const Index t = own_triangles[at];
-        ClosestPoint candidate = closest_on_triangle(point, surface_vertices.row(triangles(t, 0)), surface_vertices.row(triangles(t, 1)),
-                                                     surface_vertices.row(triangles(t, 2)));
+        ClosestPoint candidate = closest_on_triangle(point, surface_vertices.row(triangles(t, 0)),
+                                                     surface_vertices.row(triangles(t, 1)), surface_vertices.row(triangles(t, 2)));
         candidate.triangle = t;
         if (anchors[k].triangle < 0 || candidate.squared_distance < anchors[k].squared_distance) anchors[k] = candidate;
       }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// A tree of axis-aligned boxes over any items. The order of the items and every query are the same on every machine and thread count.
+// A tree of axis-aligned boxes over any items. The order of the items and every query are the same on every machine and thread
+// count.
 #pragma once
 
 #include <algorithm>

@@ -16,7 +16,8 @@ CubeTets cut_cubes(const VoxelGrid& grid, const Cubes& cubes) {
   for (std::size_t c = 0; c < cubes.cells.size(); ++c) {
     const Eigen::Vector3i cell = grid.cell(cubes.cells[c]);
     for (int k = 0; k < 8; ++k) {
-      sorted.push_back({grid_node(grid, cell + cube_corner(k)), cubes.nodes[c][static_cast<std::size_t>(k)], static_cast<Index>(c), k});
+      sorted.push_back(
+          {grid_node(grid, cell + cube_corner(k)), cubes.nodes[c][static_cast<std::size_t>(k)], static_cast<Index>(c), k});
     }
   }
   std::sort(sorted.begin(), sorted.end(), [](const Corner& a, const Corner& b) {
@@ -32,7 +33,8 @@ CubeTets cut_cubes(const VoxelGrid& grid, const Cubes& cubes) {
       const Eigen::Vector3i at = grid.cell(cubes.cells[static_cast<std::size_t>(corner.cube)]) + cube_corner(corner.k);
       positions.push_back(grid.from_grid(at.cast<double>()));
     }
-    result.corners[static_cast<std::size_t>(corner.cube)][static_cast<std::size_t>(corner.k)] = static_cast<Index>(positions.size()) - 1;
+    result.corners[static_cast<std::size_t>(corner.cube)][static_cast<std::size_t>(corner.k)] =
+        static_cast<Index>(positions.size()) - 1;
   }
   result.vertices.resize(static_cast<Eigen::Index>(positions.size()), 3);
   for (std::size_t v = 0; v < positions.size(); ++v) result.vertices.row(static_cast<Eigen::Index>(v)) = positions[v];

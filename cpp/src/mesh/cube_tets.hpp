@@ -10,11 +10,12 @@
 
 namespace followthrough {
 
-/// Corner k of a cube is the one at (k >> 2 & 1, k >> 1 & 1, k & 1), x y z: corners in ascending order are sorted by x, then y, then z.
+/// Corner k of a cube is the one at (k >> 2 & 1, k >> 1 & 1, k & 1), x y z: corners in ascending order are sorted by x, then y,
+/// then z.
 inline Eigen::Vector3i cube_corner(int k) { return {k >> 2 & 1, k >> 1 & 1, k & 1}; }
 
-/// Tets of a cube by its corners, in the order of the published data (corner offsets x y z: 000 100 010 001 and so on). All have positive
-/// volume, and cubes side by side meet in whole faces.
+/// Tets of a cube by its corners, in the order of the published data (corner offsets x y z: 000 100 010 001 and so on). All have
+/// positive volume, and cubes side by side meet in whole faces.
 inline constexpr std::array<std::array<int, 4>, 6> kCubeTets = {
     {{0, 4, 2, 1}, {4, 2, 1, 5}, {2, 1, 5, 3}, {4, 6, 2, 5}, {6, 5, 7, 3}, {6, 2, 5, 3}}};
 

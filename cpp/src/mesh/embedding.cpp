@@ -55,7 +55,9 @@ Embedding embed(ConstPositions points, ConstPositions vertices, ConstTets tets) 
     const Eigen::Vector3d margin = Eigen::Vector3d::Constant(1e-12 * size);
     Index best = static_cast<Index>(solid.size());
     tree.overlapping(Box(point - margin, point + margin), [&](Index item) {
-      if (item < best && tet_weights(point, corners_of(vertices, tets, solid[static_cast<std::size_t>(item)])).minCoeff() >= kInside) best = item;
+      if (item < best &&
+          tet_weights(point, corners_of(vertices, tets, solid[static_cast<std::size_t>(item)])).minCoeff() >= kInside)
+        best = item;
     });
     if (best == static_cast<Index>(solid.size())) {
       best = tree.nearest(point, [&](Index item) {

@@ -10,13 +10,15 @@ namespace followthrough {
 
 enum class Stencil {
   kLinear,      ///< linear finite elements: linear functions come out exactly; obtuse tets may overshoot what is given
-  kNonnegative  ///< the same with couplings of the wrong sign left out: an M-matrix, so results never leave the range of what is given
+  kNonnegative  ///< the same with couplings of the wrong sign left out: an M-matrix, so results never leave the range of what is
+                ///< given
 };
 
 /// Factored once, so that each solve is cheap.
 class LaplaceSolver {
  public:
-  /// @param given (n,) vertices whose values will be given. Vertices that hang together with none of them are treated as given, too.
+  /// @param given (n,) vertices whose values will be given. Vertices that hang together with none of them are treated as given,
+  /// too.
   LaplaceSolver(ConstPositions vertices, ConstTets tets, const Mask& given, Stencil stencil);
   ~LaplaceSolver();
   LaplaceSolver(LaplaceSolver&&) noexcept;

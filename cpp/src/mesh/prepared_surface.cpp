@@ -48,7 +48,8 @@ std::vector<Index> weld(ConstPositions vertices, const Eigen::Vector3d& origin, 
           const auto found = heads.find({x, y, z});
           if (found == heads.end()) continue;
           for (Index other = found->second; other >= 0; other = next[static_cast<std::size_t>(other)]) {
-            if ((vertices.row(other) - vertices.row(v)).squaredNorm() <= distance * distance) sets.join(other, static_cast<Index>(v));
+            if ((vertices.row(other) - vertices.row(v)).squaredNorm() <= distance * distance)
+              sets.join(other, static_cast<Index>(v));
           }
         }
       }
@@ -156,7 +157,8 @@ void turn_outside(PreparedSurface& surface, const Patches& patches) {
       Index own = 0;
       for (std::size_t m = first; m < last; ++m) own += patches.labels[static_cast<std::size_t>(edges[m].triangle)] == patch;
       if (own % 2 == 0) continue;
-      rim[static_cast<std::size_t>(patch)] += 0.5 * (surface.vertices.row(edges[k].low) + surface.vertices.row(edges[k].high)).transpose();
+      rim[static_cast<std::size_t>(patch)] +=
+          0.5 * (surface.vertices.row(edges[k].low) + surface.vertices.row(edges[k].high)).transpose();
       ++rim_edges[static_cast<std::size_t>(patch)];
     }
   });
@@ -228,7 +230,8 @@ PreparedSurface prepare_surface(ConstPositions vertices, ConstTriangles triangle
   if (faces.empty()) throw InvalidInput("triangles", "every one is degenerate, expected at least one with three distinct corners");
   std::sort(faces.begin(), faces.end(),
             [](const Face& a, const Face& b) { return std::tie(a.corners, a.source) < std::tie(b.corners, b.source); });
-  faces.erase(std::unique(faces.begin(), faces.end(), [](const Face& a, const Face& b) { return a.corners == b.corners; }), faces.end());
+  faces.erase(std::unique(faces.begin(), faces.end(), [](const Face& a, const Face& b) { return a.corners == b.corners; }),
+              faces.end());
   std::sort(faces.begin(), faces.end(), [](const Face& a, const Face& b) { return a.source < b.source; });
 
   const auto count = static_cast<Eigen::Index>(faces.size());

@@ -16,7 +16,8 @@ namespace {
 // Two edges and the unit normal. False where the triangle has no area to speak of.
 bool triangle_frame(ConstPositions vertices, const Triangles& triangles, Eigen::Index t, Eigen::Matrix3d& frame) {
   const Eigen::Vector3d a = vertices.row(triangles(t, 0));
-  const Eigen::Vector3d ab = Eigen::Vector3d(vertices.row(triangles(t, 1))) - a, ac = Eigen::Vector3d(vertices.row(triangles(t, 2))) - a;
+  const Eigen::Vector3d ab = Eigen::Vector3d(vertices.row(triangles(t, 1))) - a,
+                        ac = Eigen::Vector3d(vertices.row(triangles(t, 2))) - a;
   const Eigen::Vector3d normal = ab.cross(ac);
   const double area = normal.norm();
   if (!(area > 1e-9 * std::max(ab.squaredNorm(), ac.squaredNorm()))) return false;
@@ -30,9 +31,9 @@ struct SurfaceFollower::State {
   Positions rest;
   Triangles triangles;
   std::vector<ClosestPoint> anchors;
-  std::vector<Eigen::Vector3d> offsets;            // from the closest point to the vertex, at rest
-  std::vector<Eigen::Matrix3d> inverse_frames;     // at rest, one a triangle
-  Vector areas;                                    // weight of each triangle in its corners' deformation; 0: no frame
+  std::vector<Eigen::Vector3d> offsets;         // from the closest point to the vertex, at rest
+  std::vector<Eigen::Matrix3d> inverse_frames;  // at rest, one a triangle
+  Vector areas;                                 // weight of each triangle in its corners' deformation; 0: no frame
   LaplaceSolver solver;
 };
 
@@ -40,7 +41,8 @@ SurfaceFollower::SurfaceFollower(ConstPositions surface_vertices, ConstTriangles
                                  ConstIndices own_offsets, ConstIndices own_triangles) {
   require_surface_and_tets(surface_vertices, triangles, vertices, tets);
   LaplaceSolver solver(vertices, tets, boundary_vertices(tets, vertices.rows()), Stencil::kLinear);
-  std::vector<ClosestPoint> anchors = boundary_anchors(surface_vertices, triangles, vertices, solver.given(), own_offsets, own_triangles);
+  std::vector<ClosestPoint> anchors =
+      boundary_anchors(surface_vertices, triangles, vertices, solver.given(), own_offsets, own_triangles);
   state_ = std::make_unique<State>(State{surface_vertices, triangles, std::move(anchors), {}, {}, {}, std::move(solver)});
   std::size_t k = 0;
   state_->offsets.resize(state_->anchors.size());
@@ -71,7 +73,8 @@ Positions SurfaceFollower::operator()(ConstPositions positions) const {
   const State& s = *state_;
   require_rows("positions", positions.rows(), s.rest.rows());
   require_finite("positions", positions);
-  // Deformation at each vertex of the surface: the mean of its triangles', which turns and stretches with them but keeps normals' length.
+  // Deformation at each vertex of the surface: the mean of its triangles', which turns and stretches with them but keeps normals'
+  // length.
   std::vector<Eigen::Matrix3d> deformations(static_cast<std::size_t>(s.rest.rows()), Eigen::Matrix3d::Zero());
   std::vector<double> weights(deformations.size(), 0);
   Eigen::Matrix3d overall = Eigen::Matrix3d::Zero();
@@ -105,8 +108,8 @@ Positions SurfaceFollower::operator()(ConstPositions positions) const {
     Eigen::Vector3d position = Eigen::Vector3d::Zero();
     for (int corner = 0; corner < 3; ++corner) {
       const Index on = s.triangles(anchor.triangle, corner);
-      position += anchor.barycentric[corner] *
-                  (positions.row(on).transpose() + deformations[static_cast<std::size_t>(on)] * s.offsets[k]);
+      position +=
+          anchor.barycentric[corner] * (positions.row(on).transpose() + deformations[static_cast<std::size_t>(on)] * s.offsets[k]);
     }
     result.row(v) = position;
     ++k;

@@ -20,7 +20,8 @@ SurfaceTransfer::SurfaceTransfer(ConstPositions surface_vertices, ConstTriangles
                                  ConstIndices own_offsets, ConstIndices own_triangles) {
   require_surface_and_tets(surface_vertices, triangles, vertices, tets);
   LaplaceSolver solver(vertices, tets, boundary_vertices(tets, vertices.rows()), Stencil::kNonnegative);
-  std::vector<ClosestPoint> anchors = boundary_anchors(surface_vertices, triangles, vertices, solver.given(), own_offsets, own_triangles);
+  std::vector<ClosestPoint> anchors =
+      boundary_anchors(surface_vertices, triangles, vertices, solver.given(), own_offsets, own_triangles);
   state_ = std::make_unique<State>(State{surface_vertices.rows(), triangles, std::move(anchors), std::move(solver)});
 }
 

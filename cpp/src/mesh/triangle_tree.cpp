@@ -37,7 +37,8 @@ ClosestPoint on_segment(const Eigen::Vector3d& p, const Eigen::Vector3d& a, cons
 
 }  // namespace
 
-ClosestPoint closest_on_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a, const Eigen::Vector3d& b, const Eigen::Vector3d& c) {
+ClosestPoint closest_on_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a, const Eigen::Vector3d& b,
+                                 const Eigen::Vector3d& c) {
   const Eigen::Vector3d ab = b - a, ac = c - a, ap = p - a;
   const Eigen::Vector3d normal = ab.cross(ac);
   const double area = normal.squaredNorm();
@@ -83,9 +84,8 @@ TriangleTree::TriangleTree(ConstPositions vertices, ConstTriangles triangles)
 }
 
 ClosestPoint TriangleTree::closest(const Eigen::Vector3d& point) const {
-  const Index best = tree_.nearest(point, [&](Index t) {
-    return closest_on_triangle(point, corner(t, 0), corner(t, 1), corner(t, 2)).squared_distance;
-  });
+  const Index best = tree_.nearest(
+      point, [&](Index t) { return closest_on_triangle(point, corner(t, 0), corner(t, 1), corner(t, 2)).squared_distance; });
   ClosestPoint result;
   if (best >= 0) {
     result = closest_on_triangle(point, corner(best, 0), corner(best, 1), corner(best, 2));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Closest points and winding numbers of a triangle surface through one tree of boxes. Far away groups of triangles count as one dipole
-// [Barill et al. 2018, "Fast winding numbers for soups and clouds"].
+// Closest points and winding numbers of a triangle surface through one tree of boxes. Far away groups of triangles count as one
+// dipole [Barill et al. 2018, "Fast winding numbers for soups and clouds"].
 #pragma once
 
 #include <vector>
@@ -17,7 +17,8 @@ struct ClosestPoint {
 };
 
 /// Closest point of one triangle, degenerate ones included.
-ClosestPoint closest_on_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a, const Eigen::Vector3d& b, const Eigen::Vector3d& c);
+ClosestPoint closest_on_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a, const Eigen::Vector3d& b,
+                                 const Eigen::Vector3d& c);
 
 class TriangleTree {
  public:

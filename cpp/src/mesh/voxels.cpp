@@ -21,8 +21,8 @@ std::array<Eigen::Vector3d, 3> grid_corners(const PreparedSurface& surface, cons
   return corners;
 }
 
-// Calls visit(cell) for the cells that a triangle meets when each cell is shrunk (or grown) to the given half edge. Walks the columns
-// along the axis that the triangle faces most, so a big triangle costs its area, not its bounding box's volume.
+// Calls visit(cell) for the cells that a triangle meets when each cell is shrunk (or grown) to the given half edge. Walks the
+// columns along the axis that the triangle faces most, so a big triangle costs its area, not its bounding box's volume.
 template <typename Visit>
 void for_each_met_cell(const std::array<Eigen::Vector3d, 3>& corners, const VoxelGrid& grid, double half, Visit&& visit) {
   const double margin = half - 0.5;
@@ -45,7 +45,8 @@ void for_each_met_cell(const std::array<Eigen::Vector3d, 3>& corners, const Voxe
       if (flat_enough) {
         // Height of the triangle's plane over the column.
         const double slope_u = -normal[u] / normal[axis], slope_v = -normal[v] / normal[axis];
-        const double middle = corners[0][axis] + slope_u * (cell[u] + 0.5 - corners[0][u]) + slope_v * (cell[v] + 0.5 - corners[0][v]);
+        const double middle =
+            corners[0][axis] + slope_u * (cell[u] + 0.5 - corners[0][u]) + slope_v * (cell[v] + 0.5 - corners[0][v]);
         const double spread = half * (std::abs(slope_u) + std::abs(slope_v)) + 1e-3;
         first = std::max(first, static_cast<int>(std::floor(middle - spread)));
         last = std::min(last, static_cast<int>(std::floor(middle + spread)));
@@ -82,7 +83,8 @@ std::vector<Index> find_touched(const PreparedSurface& surface, Voxels& voxels) 
   voxels.touch_triangles.resize(static_cast<std::size_t>(voxels.touch_offsets.back()));
   std::vector<Index> next(voxels.touch_offsets.begin(), voxels.touch_offsets.end() - 1);
   for (const auto& own : found) {
-    for (const auto& [cell, triangle] : own) voxels.touch_triangles[static_cast<std::size_t>(next[static_cast<std::size_t>(cell)]++)] = triangle;
+    for (const auto& [cell, triangle] : own)
+      voxels.touch_triangles[static_cast<std::size_t>(next[static_cast<std::size_t>(cell)]++)] = triangle;
   }
   std::vector<Index> flat;
   for (const auto& own : missed) flat.insert(flat.end(), own.begin(), own.end());
@@ -197,7 +199,8 @@ VoxelGrid make_grid(const PreparedSurface& surface, Index cells, double cell_siz
   }
   const auto too_many = [&](double count) {
     return InvalidInput(name, "would make a grid of " + std::to_string(static_cast<std::int64_t>(std::min(count, 9e18))) +
-                                  " cells, expected 20 million at most (use " + (cell_size != 0 ? "a larger cell_size" : "fewer cells") + ")");
+                                  " cells, expected 20 million at most (use " +
+                                  (cell_size != 0 ? "a larger cell_size" : "fewer cells") + ")");
   };
   const Eigen::Vector3d spans = bounds.sizes() / grid.edge;
   if (along > 1e6) throw too_many(std::max({1.0, spans[0]}) * std::max({1.0, spans[1]}) * std::max({1.0, spans[2]}));
@@ -227,7 +230,8 @@ Voxels voxelize(const PreparedSurface& surface, const TriangleTree& tree, const 
     fill_open(tree, voxels);
   }
   voxels.kept.resize(count);
-  for (std::size_t cell = 0; cell < count; ++cell) voxels.kept[cell] = voxels.enclosed[cell] || voxels.touched(static_cast<Index>(cell));
+  for (std::size_t cell = 0; cell < count; ++cell)
+    voxels.kept[cell] = voxels.enclosed[cell] || voxels.touched(static_cast<Index>(cell));
   keep_beside_flat(surface, flat, voxels);
   return voxels;
 }
@@ -235,7 +239,8 @@ Voxels voxelize(const PreparedSurface& surface, const TriangleTree& tree, const 
 bool triangle_meets_cube(const std::array<Eigen::Vector3d, 3>& corners, const Eigen::Vector3d& centre, double half) {
   const std::array<Eigen::Vector3d, 3> p = {corners[0] - centre, corners[1] - centre, corners[2] - centre};
   for (int axis = 0; axis < 3; ++axis) {
-    if (std::min({p[0][axis], p[1][axis], p[2][axis]}) > half || std::max({p[0][axis], p[1][axis], p[2][axis]}) < -half) return false;
+    if (std::min({p[0][axis], p[1][axis], p[2][axis]}) > half || std::max({p[0][axis], p[1][axis], p[2][axis]}) < -half)
+      return false;
   }
   const std::array<Eigen::Vector3d, 3> edges = {p[1] - p[0], p[2] - p[1], p[0] - p[2]};
   const Eigen::Vector3d normal = edges[0].cross(edges[1]);

@@ -28,7 +28,9 @@ struct VoxelGrid {
   Eigen::Vector3i size;
 
   /// Position in cell edges, from the corner of cell (0, 0, 0).
-  Eigen::Vector3d to_grid(const Eigen::Vector3d& position) const { return (position - centre) / edge + Eigen::Vector3d::Constant(0.5 * cells); }
+  Eigen::Vector3d to_grid(const Eigen::Vector3d& position) const {
+    return (position - centre) / edge + Eigen::Vector3d::Constant(0.5 * cells);
+  }
   Eigen::Vector3d from_grid(const Eigen::Vector3d& position) const {
     return centre + edge * (position - Eigen::Vector3d::Constant(0.5 * cells));
   }
@@ -53,10 +55,10 @@ VoxelGrid make_grid(const PreparedSurface& surface, Index cells, double cell_siz
 
 struct Voxels {
   VoxelGrid grid;
-  std::vector<char> kept;             ///< one a cell number
-  std::vector<char> enclosed;         ///< kept because the centre is inside; not decided for touched cells
-  std::vector<Index> touch_offsets;   ///< (cells + 1): rows of `touch_triangles` of each cell
-  std::vector<Index> touch_triangles; ///< triangles of the prepared surface, ascending in each cell
+  std::vector<char> kept;              ///< one a cell number
+  std::vector<char> enclosed;          ///< kept because the centre is inside; not decided for touched cells
+  std::vector<Index> touch_offsets;    ///< (cells + 1): rows of `touch_triangles` of each cell
+  std::vector<Index> touch_triangles;  ///< triangles of the prepared surface, ascending in each cell
 
   bool touched(Index cell) const {
     return touch_offsets[static_cast<std::size_t>(cell)] != touch_offsets[static_cast<std::size_t>(cell) + 1];
@@ -67,8 +69,8 @@ struct Voxels {
 ///
 /// On a closed surface the winding number is the same in all cells that hang together without the surface between them, and is
 /// asked once for each such group; on an open one it is asked for every cell. Where all is closed, regions that a self-crossing
-/// turned inside out (winding number below minus one half) count as inside too. A sheet that lies in a grid plane and so reaches into
-/// no cell keeps the cells on its inner side, unless those on the other side are kept anyway.
+/// turned inside out (winding number below minus one half) count as inside too. A sheet that lies in a grid plane and so reaches
+/// into no cell keeps the cells on its inner side, unless those on the other side are kept anyway.
 Voxels voxelize(const PreparedSurface& surface, const TriangleTree& tree, const VoxelGrid& grid);
 
 /// Whether a triangle meets the cube of half edge `half` around `centre`: the thirteen separating axes.

@@ -12,8 +12,8 @@ struct Embedding {
   Weights4 weights;  ///< (p,4) barycentric weights, summing to one
 };
 
-/// @brief Finds the tet that holds each point. A point outside all of them goes to the nearest one, with weights below 0 or above 1, so
-/// that an affine motion of the mesh moves every point by the same affine motion.
+/// @brief Finds the tet that holds each point. A point outside all of them goes to the nearest one, with weights below 0 or above
+/// 1, so that an affine motion of the mesh moves every point by the same affine motion.
 ///
 /// Of several tets that hold a point (or are equally near) the first counts, so coincident points are carried alike.
 ///

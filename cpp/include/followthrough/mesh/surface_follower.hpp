@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
-/// The volume carried along by a surface that anything may move (lattices, mesh deform, corrective keys): harmonic coordinates inside.
+/// The volume carried along by a surface that anything may move (lattices, mesh deform, corrective keys): harmonic coordinates
+/// inside.
 #pragma once
 
 #include <memory>
@@ -9,8 +10,8 @@
 
 namespace followthrough {
 
-/// @brief Moves a tet mesh with an evaluated surface. Vertices on the volume's boundary hang on the closest point of the surface, and their
-/// way from there turns with the surface around it; those inside follow harmonically.
+/// @brief Moves a tet mesh with an evaluated surface. Vertices on the volume's boundary hang on the closest point of the surface,
+/// and their way from there turns with the surface around it; those inside follow harmonically.
 ///
 /// A rigid motion of the surface moves the volume by the same one. Factored once; a frame is one back-substitution.
 class SurfaceFollower {

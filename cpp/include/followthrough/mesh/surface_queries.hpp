@@ -8,9 +8,9 @@
 namespace followthrough {
 
 struct ClosestPoints {
-  Indices triangles;     ///< (p,) the triangle that holds each closest point; of equally near ones the first
+  Indices triangles;      ///< (p,) the triangle that holds each closest point; of equally near ones the first
   Positions barycentric;  ///< (p,3) its weights there, 0 or more, summing to one
-  Vector distances;      ///< (p,) m
+  Vector distances;       ///< (p,) m
 };
 
 /// @param points (p,3) m
@@ -19,8 +19,8 @@ struct ClosestPoints {
 /// @throws InvalidInput on an empty surface, non-finite positions or an index out of range
 ClosestPoints closest_points(ConstPositions points, ConstPositions vertices, ConstTriangles triangles);
 
-/// @brief Generalized winding numbers [Jacobson et al. 2013]: how often the surface, as its faces are turned, goes around each point. Exact:
-/// the solid angles of all triangles, at a cost of points times triangles.
+/// @brief Generalized winding numbers [Jacobson et al. 2013]: how often the surface, as its faces are turned, goes around each
+/// point. Exact: the solid angles of all triangles, at a cost of points times triangles.
 /// @param points (p,3) m
 /// @param vertices (v,3) m
 /// @param triangles (t,3)

@@ -9,8 +9,8 @@
 
 namespace followthrough {
 
-/// @brief Carries values from a surface's vertices to those of a tet mesh: vertices on the volume's boundary take the value of the closest
-/// point of the surface, those inside the solution of Laplace's equation between them.
+/// @brief Carries values from a surface's vertices to those of a tet mesh: vertices on the volume's boundary take the value of the
+/// closest point of the surface, those inside the solution of Laplace's equation between them.
 ///
 /// Results stay in the range of the surface's values; what is non-negative and sums to one stays so.
 class SurfaceTransfer {
@@ -19,7 +19,8 @@ class SurfaceTransfer {
   /// @param triangles (t,3)
   /// @param vertices (n,3) the tet mesh, m, in the same place
   /// @param tets (m,4)
-  /// @param own_offsets (n + 1,) with `own_triangles`: the surface triangles of each vertex's own part, as in TetVolume; a vertex that
+  /// @param own_offsets (n + 1,) with `own_triangles`: the surface triangles of each vertex's own part, as in TetVolume; a vertex
+  /// that
   ///   has some looks for its closest point there only. Empty: everywhere.
   /// @param own_triangles see `own_offsets`
   /// @throws InvalidInput on empty or non-finite arrays or an index out of range

@@ -26,27 +26,29 @@ struct TetVolume {
   Indices own_triangles;       ///< triangles of the surface that cross the cubes around a vertex and are of its own part
 };
 
-/// @brief Makes a volume of regular tets around a surface, which may be open, self-crossing, of many parts, non-manifold, with unwelded
-/// seams, faces that are degenerate, doubled or turned, and parts that are inside out.
+/// @brief Makes a volume of regular tets around a surface, which may be open, self-crossing, of many parts, non-manifold, with
+/// unwelded seams, faces that are degenerate, doubled or turned, and parts that are inside out.
 ///
-/// The grid has N x N x N cubes centred on the surface's bounding box. Kept are the cubes inside it that a triangle reaches into, by more
-/// than a hundred-thousandth of an edge, and those whose centre has a generalized winding number above one half. Every closed part counts as
-/// solid, whichever way its faces are turned.
+/// The grid has N x N x N cubes centred on the surface's bounding box. Kept are the cubes inside it that a triangle reaches into,
+/// by more than a hundred-thousandth of an edge, and those whose centre has a generalized winding number above one half. Every
+/// closed part counts as solid, whichever way its faces are turned.
 ///
-/// With `split_parts`, a cube in which several parts of the body come near each other is there once for each part, and so are the grid's
-/// vertices around it, so that each part moves on its own; see `split_parts` in src/mesh/part_splitting.hpp for the rule.
+/// With `split_parts`, a cube in which several parts of the body come near each other is there once for each part, and so are the
+/// grid's vertices around it, so that each part moves on its own; see `split_parts` in src/mesh/part_splitting.hpp for the rule.
 ///
 /// @param vertices (v,3) positions of the surface, m
 /// @param triangles (t,3)
 /// @param settings size of the grid
-/// @throws InvalidInput naming the argument: an empty or non-finite surface, an index out of range, cells < 1, a cell_size that is not
+/// @throws InvalidInput naming the argument: an empty or non-finite surface, an index out of range, cells < 1, a cell_size that is
+/// not
 ///   positive or so small that there would be more than 20 million cells
 TetVolume tetrahedralize(ConstPositions vertices, ConstTriangles triangles, const VoxelSettings& settings = {});
 
 /// @brief Finds the pieces that a tet mesh falls into; tets that share a vertex hang together.
 /// @param tets (m,4)
 /// @param vertex_count n
-/// @return (n,) number of the piece of each vertex, counted from 0 in the order of their first vertices; -1 for vertices without a tet
+/// @return (n,) number of the piece of each vertex, counted from 0 in the order of their first vertices; -1 for vertices without a
+/// tet
 /// @throws InvalidInput where an index is out of range
 Indices connected_parts(ConstTets tets, Eigen::Index vertex_count);
 
