@@ -67,18 +67,20 @@ def write_action(key: bpy.types.Key, name: str, frames: Sequence[int], blocks: S
 def remove_action(key: bpy.types.Key) -> None:
     """Take our animation off the shape keys, and delete our actions where nothing else uses them.
 
-    Curves that someone else keyed into our action stay, and the action with them.
+    Curves that someone else keyed into our action stay, and the action with them, no longer as ours.
     """
     animation = key.animation_data
     if animation is None:
         return
     ours = set()
     if is_ours(animation.action):
-        if any(not _is_our_curve(curve) for curve in _curves(animation.action)):
-            _drop_our_curves(animation.action)
-        else:
-            ours.add(animation.action)
+        action = animation.action
+        foreign = [curve for curve in _curves(action) if not _is_our_curve(curve)]
+        if not foreign:
+            ours.add(action)
             animation.action = None
+        else:
+            _give_away(action, animation)
     for track in list(animation.nla_tracks):
         actions = {strip.action for strip in track.strips}
         if actions and all(is_ours(action) for action in actions):
@@ -223,10 +225,16 @@ def _is_our_curve(curve: bpy.types.FCurve) -> bool:
     return curve.group is not None and curve.group.name == OURS
 
 
-def _drop_our_curves(action: bpy.types.Action) -> None:
-    for holder in _holders(action):
+def _give_away(action: bpy.types.Action, animation: bpy.types.AnimData) -> None:
+    """Take our curves, and our slot where nothing else is in it, out of an action that others have keyed into."""
+    for holder in list(_holders(action)):
         for curve in [curve for curve in holder.fcurves if _is_our_curve(curve)]:
             holder.fcurves.remove(curve)
         for group in [group for group in holder.groups if group.name == OURS]:
             holder.groups.remove(group)
+        if HAS_SLOTS and holder.slot == animation.action_slot and not len(holder.fcurves):
+            slot = holder.slot
+            animation.action = None
+            action.slots.remove(slot)
     del action[MARK]
+    action.name = f"{action.name.removeprefix(OURS).strip()}Action"

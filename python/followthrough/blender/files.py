@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -95,7 +97,7 @@ def save_file(path: Path, pack: bool) -> None:
         bpy.context.preferences.filepaths.save_version = 0  # no .blend1 beside it
         with _quiet():
             bpy.ops.wm.save_as_mainfile(filepath=str(unfinished), check_existing=False, copy=True)
-        os.replace(unfinished, path)
+        unfinished.replace(path)
     except RuntimeError as problem:
         raise OSError(f"{path}: cannot be written ({str(problem).strip()})") from problem
     finally:
@@ -119,11 +121,12 @@ def _import(path: Path, ending: str) -> None:
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Keep what Blender and its importers print off the standard output, which belongs to the command's result."""
-    flushed = os.dup(1)
+    sys.stdout.flush()
+    kept = os.dup(1)
     try:
-        with open(os.devnull, "wb") as nothing:
+        with Path(os.devnull).open("wb") as nothing, contextlib.redirect_stdout(io.StringIO()):
             os.dup2(nothing.fileno(), 1)
             yield
     finally:
-        os.dup2(flushed, 1)
-        os.close(flushed)
+        os.dup2(kept, 1)
+        os.close(kept)

@@ -35,8 +35,8 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "bake",
         help="bake a character's secondary motion to shape keys",
-        description="Open a character, simulate its secondary motion and write a .blend that plays it as shape keys, in "
-        "any Blender. Every skinned mesh of the file is baked unless --object chooses. Vertex groups named 'Followthrough "
+        description="Open a character, simulate its secondary motion and write a .blend that plays it as shape keys, "
+        "in any Blender. Every skinned mesh of the file is baked unless --object chooses. Vertex groups called 'Followthrough "
         "Stiffness', 'Followthrough Mass' and 'Followthrough Pins' are read where the mesh has them; where it has not, "
         "values are suggested from the distance to the bones.",
     )
