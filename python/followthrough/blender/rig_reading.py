@@ -66,6 +66,7 @@ def with_skeleton(obj: bpy.types.Object, surface: Surface) -> Surface:
         bone_weights=weights,
         bone_segments=ends @ to_mesh[:3, :3].T + to_mesh[:3, 3],
         skinning="dual-quaternion" if modifier is not None and modifier.use_deform_preserve_volume else "linear",
+        bone_rest_matrices=np.array([armature.data.bones[name].matrix_local for name in bones], dtype=np.float64),
     )
     return dataclasses.replace(surface, rig=rig)
 
@@ -117,7 +118,8 @@ class BoneReader:
         channels = channels.reshape(-1, 4, 4)[self._bones].transpose(0, 2, 1).astype(np.float64)
         world = _matrix(mesh)
         to_mesh = np.linalg.inv(world) @ _matrix(armature)
-        return BonePose(bone_matrices=to_mesh @ channels @ np.linalg.inv(to_mesh), world=world)
+        matrices = to_mesh @ channels @ np.linalg.inv(to_mesh)
+        return BonePose(bone_matrices=matrices, world=world, armature=to_mesh)
 
 
 def _armature_modifier(obj: bpy.types.Object) -> bpy.types.Modifier | None:
