@@ -37,8 +37,8 @@ def add_parser(subparsers: Any) -> None:
         help="bake a character's secondary motion to shape keys",
         description="Open a character, simulate its secondary motion and write a .blend that plays it as shape keys, "
         "in any Blender. Every skinned mesh of the file is baked unless --object chooses. Vertex groups called "
-        "'Followthrough Stiffness', 'Followthrough Mass' and 'Followthrough Pins' are read where the mesh has them; where it has not, "
-        "values are suggested from the distance to the bones.",
+        "'Followthrough Stiffness', 'Followthrough Mass' and 'Followthrough Pins' are read where the mesh has them; "
+        "where it has not, values are suggested from the distance to the bones.",
     )
     parser.add_argument("input", metavar="IN", type=Path, help=".blend, .glb, .gltf or .fbx")
     parser.add_argument(
