@@ -294,7 +294,7 @@ def test_input_that_cannot_be_used_is_refused_by_name() -> None:
         lambda: springs.step(np.zeros((4, 2))),
         lambda: springs.evaluate(1.5, np.zeros((4, 3))),
     ):
-        with pytest.raises(ValueError, match="reference|fraction"):
+        with pytest.raises(ValueError, match=r"reference|fraction"):
             call()
     after = springs.state()
     assert after.frames == before.frames
