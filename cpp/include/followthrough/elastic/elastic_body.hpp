@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+/// @file
+/// A tet mesh with a material: energy, internal forces, stiffness and mass by linear finite elements. All sums run in an order that
+/// does not depend on the number of threads.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "followthrough/elastic/material.hpp"
+#include "followthrough/types.hpp"
+
+namespace followthrough {
+
+class BlockMatrix;
+
+/// What a tet mesh is made of. Values at vertices; a tet has the mean of its four vertices'.
+struct ElasticConstants {
+  Vector youngs_modulus;                 ///< (n,) Pa, more than 0
+  Vector density;                        ///< (n,) kg/m3, more than 0
+  double poisson_ratio = 0.45;           ///< -1 to 0.5, both excluded
+  double compression_resistance = 1e5;   ///< relative to Young's modulus, 0 or more
+};
+
+class ElasticBody {
+ public:
+  /// @param rest_positions (n,3) m
+  /// @param tets (m,4); inverted ones are taken by their absolute volume
+  /// @throws InvalidInput on wrong shapes, indices out of range, non-finite or negative constants, tets without volume
+  ElasticBody(ConstPositions rest_positions, ConstTets tets, const ElasticConstants& constants);
+
+  Eigen::Index vertex_count() const { return vertex_count_; }
+  Eigen::Index tet_count() const { return static_cast<Eigen::Index>(elements_.size()); }
+  /// Number of tets whose rest volume is negative: usual in volumes that a pose has squashed, worth a warning.
+  Eigen::Index inverted_rest_tets() const { return inverted_rest_tets_; }
+  /// (n,) kg: a quarter of every adjacent tet's mass.
+  const Vector& lumped_mass() const { return lumped_mass_; }
+  /// Mean length of the tets' edges at rest, m.
+  double edge_length() const { return edge_length_; }
+
+  /// @param positions (n,3) m, finite
+  /// @return J
+  double energy(ConstPositions positions, const Material& material) const;
+
+  /// @brief f of M a + f = 0: the gradient of the energy wherever no stretch is beyond the material's clamp.
+  /// @param energy where not null, the energy in J
+  /// @return (n,3) N
+  Positions internal_forces(ConstPositions positions, const Material& material, double* energy = nullptr) const;
+
+  /// @return (n,3): change of the internal forces for a small change of the positions, N
+  Positions stiffness_product(ConstPositions positions, ConstPositions change, const Material& material,
+                              Definiteness definiteness = Definiteness::kExact) const;
+
+  /// @return (n,3): the consistent mass matrix (rho V / 20, doubled on the diagonal) times values
+  Positions mass_product(ConstPositions values) const;
+
+  /// Adds scale times the stiffness to a matrix with this body's pattern.
+  void add_stiffness(ConstPositions positions, const Material& material, Definiteness definiteness, double scale,
+                     BlockMatrix& matrix) const;
+  /// Adds scale times the consistent mass matrix.
+  void add_mass(double scale, BlockMatrix& matrix) const;
+
+  const std::vector<std::array<Index, 4>>& corners() const { return corners_; }
+
+ private:
+  struct Element {
+    Eigen::Matrix3d gradients;  // rows: derivative of F's columns by corner 1, 2, 3; minus their sum for corner 0
+    Moduli constants;
+    double volume, mass;  // mass: rho V / 20
+  };
+
+  Eigen::Matrix3d deformation_gradient(std::size_t tet, ConstPositions positions) const;
+  template <typename Work>
+  void for_tets(const Work& work) const;
+
+  Eigen::Index vertex_count_;
+  Eigen::Index inverted_rest_tets_ = 0;
+  double edge_length_ = 0;
+  Vector lumped_mass_;
+  std::vector<std::array<Index, 4>> corners_;
+  std::vector<Element> elements_;
+  std::vector<Index> color_starts_, clusters_;  // clusters by colour; no two of a colour share a vertex
+};
+
+}  // namespace followthrough

@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "elastic/block_matrix.hpp"
+
+#include <algorithm>
+
+namespace followthrough {
+namespace {
+
+// Rows below which a product is done sooner than other threads are awake.
+constexpr Eigen::Index rows_worth_threads = 2000;
+
+}  // namespace
+
+BlockMatrix::BlockMatrix(const std::vector<std::array<Index, 4>>& corners, std::span<const Index> rows) {
+  const Index row_count = rows.empty() ? 0 : std::max(*std::max_element(rows.begin(), rows.end()) + 1, 0);
+  std::vector<std::vector<Index>> neighbours(static_cast<std::size_t>(row_count));
+  for (Index row = 0; row < row_count; ++row) neighbours[row].push_back(row);
+  for (const std::array<Index, 4>& tet : corners) {
+    for (const Index a : tet) {
+      if (rows[a] < 0) continue;
+      for (const Index b : tet) {
+        if (rows[b] >= 0) neighbours[rows[a]].push_back(rows[b]);
+      }
+    }
+  }
+  starts_.push_back(0);
+  for (std::vector<Index>& columns : neighbours) {
+    std::sort(columns.begin(), columns.end());
+    columns.erase(std::unique(columns.begin(), columns.end()), columns.end());
+    columns_.insert(columns_.end(), columns.begin(), columns.end());
+    starts_.push_back(static_cast<Index>(columns_.size()));
+  }
+  const auto slot_of = [&](Index row, Index column) {
+    const auto first = columns_.begin() + starts_[row], last = columns_.begin() + starts_[row + 1];
+    return static_cast<Index>(std::lower_bound(first, last, column) - columns_.begin());
+  };
+  for (Index row = 0; row < row_count; ++row) diagonal_.push_back(slot_of(row, row));
+  slots_.resize(corners.size());
+  for (std::size_t tet = 0; tet < corners.size(); ++tet) {
+    for (int a = 0; a < 4; ++a) {
+      for (int b = 0; b < 4; ++b) {
+        const Index row = rows[corners[tet][a]], column = rows[corners[tet][b]];
+        slots_[tet][4 * a + b] = row < 0 || column < 0 ? -1 : slot_of(row, column);
+      }
+    }
+  }
+  blocks_.assign(columns_.size(), Block::Zero());
+}
+
+void BlockMatrix::multiply(const double* x, double* y) const {
+#pragma omp parallel for schedule(static) if (row_count() >= rows_worth_threads)
+  for (Eigen::Index row = 0; row < row_count(); ++row) {
+    double a = 0, b = 0, c = 0;
+    for (Index k = starts_[row]; k < starts_[row + 1]; ++k) {
+      const double* m = blocks_[k].data();
+      const double* z = x + 3 * Eigen::Index{columns_[k]};
+      a += m[0] * z[0] + m[1] * z[1] + m[2] * z[2];
+      b += m[3] * z[0] + m[4] * z[1] + m[5] * z[2];
+      c += m[6] * z[0] + m[7] * z[1] + m[8] * z[2];
+    }
+    y[3 * row] = a;
+    y[3 * row + 1] = b;
+    y[3 * row + 2] = c;
+  }
+}
+
+}  // namespace followthrough
