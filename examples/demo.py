@@ -12,6 +12,7 @@ import argparse
 import contextlib
 import os
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -20,11 +21,11 @@ from pathlib import Path
 
 import demo_pictures
 import numpy as np
-from demo_pictures import Camera, Image, Scenery
+from demo_pictures import Camera, Scenery
 from tqdm import tqdm
 
-CAMERA = Camera(position=(4.0, -5.4, 1.9), target=(0.0, 0.08, 1.0), half_height=1.16, width=360, height=432)
-SHEET_CAMERA = Camera(position=(4.0, -5.4, 1.9), target=(0.0, 0.08, 1.0), half_height=1.16, width=270, height=340)
+CAMERA = Camera(position=(4.0, -5.4, 1.9), target=(0.0, 0.08, 1.06), half_height=1.22, width=360, height=432)
+SHEET_CAMERA = Camera(position=(4.0, -5.4, 1.9), target=(0.0, 0.08, 1.06), half_height=1.22, width=270, height=340)
 
 #: Moments of the contact sheet: frame and caption.
 MOMENTS = [
@@ -108,12 +109,16 @@ def draw(
     jobs = [(positions[frame - 1], SHEET_CAMERA, 3) for positions in (skinned, dynamic) for frame, _ in MOMENTS]
     jobs += [(positions[frame], CAMERA, 2) for frame in range(len(skinned)) for positions in (skinned, dynamic)]
     workers = max(1, min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, 8))
-    pictures: list[Image] = []
-    with ProcessPoolExecutor(
-        workers, mp_context=get_context("spawn"), initializer=demo_pictures.set_scenery, initargs=(scenery,)
-    ) as pool:
-        for picture in tqdm(pool.map(demo_pictures.draw_job, jobs, chunksize=4), total=len(jobs), desc="Drawing", unit="picture"):
-            pictures.append(picture)
+    with tempfile.TemporaryDirectory() as scratch:
+        demo_pictures.save_scenery(Path(scratch) / "scenery.npz", scenery)
+        with ProcessPoolExecutor(
+            workers,
+            mp_context=get_context("spawn"),
+            initializer=demo_pictures.load_scenery,
+            initargs=(Path(scratch) / "scenery.npz",),
+        ) as pool:
+            drawn = pool.map(demo_pictures.draw_job, jobs, chunksize=4)
+            pictures = list(tqdm(drawn, total=len(jobs), desc="Drawing", unit="picture"))
     count = len(MOMENTS)
     rows = [("skinned", pictures[:count]), ("with Followthrough", pictures[count : 2 * count])]
     demo_pictures.contact_sheet(rows, [caption for _, caption in MOMENTS], sheet)

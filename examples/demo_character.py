@@ -19,13 +19,15 @@ from mathutils import Vector
 from numpy.typing import NDArray
 
 from followthrough.blender import MASS_GROUP, PINS_GROUP, STIFFNESS_GROUP, write_group
-from followthrough.settings import Settings, SpringSettings
+from followthrough.settings import Settings, SpringSettings, VolumeSettings
 
 #: Name of the mesh object; the armature's is this with " rig".
 NAME = "Bumble"
 
-#: How soft it is: where it is painted softest it swings 1.8 times a second, where stiffest 7 times.
-MOTION = Settings(springs=SpringSettings(stiffness_range=(130.0, 2000.0), damping_ratio=0.16))
+#: How soft it is: where it is painted softest it swings 2.5 times a second, where stiffest 8 times.
+MOTION = Settings(
+    volume=VolumeSettings(cells=32), springs=SpringSettings(stiffness_range=(250.0, 2500.0), damping_ratio=0.25)
+)
 
 #: What plays in the demo: action, first frame, repetitions, frames to blend in.
 SHOW = [("Walk", 1, 2, 0), ("Jump", 36, 1, 8), ("Shake", 82, 1, 4)]

@@ -307,19 +307,19 @@ def paint_body(regions: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray, 
 
     What hangs free of bones is soft: belly, rump, cheeks, and ears and tail ever softer towards their tips. Face, hands and feet are pinned.
     """
-    hanging = np.maximum.reduce(
+    softness = np.maximum.reduce(
         [
-            smoothstep(0.10, 0.95, regions["ear"]),
-            0.95 * smoothstep(0.12, 0.95, regions["tail"]),
-            regions["belly"],
-            0.75 * regions["rump"],
-            0.55 * regions["sides"],
+            0.90 * smoothstep(0.02, 1.0, regions["ear"]),
+            0.75 * smoothstep(0.02, 1.0, regions["tail"]),
+            0.70 * regions["belly"],
+            0.45 * regions["rump"],
+            0.30 * regions["sides"],
+            0.20 * regions["cheek"],
         ]
     )
-    softness = np.maximum(hanging, 0.35 * regions["cheek"])
-    pins = 1.0 - smoothstep(0.0, 0.22, softness)
-    stiffness = 0.9 * (1.0 - softness)
-    mass = 0.5 + 0.25 * np.maximum(smoothstep(0.7, 1.0, regions["tail"]), regions["belly"])
+    pins = 1.0 - smoothstep(0.0, 0.25, softness)
+    stiffness = 1.0 - softness
+    mass = 0.5 + 0.1 * np.maximum(smoothstep(0.7, 1.0, regions["tail"]), regions["belly"])
     return stiffness, mass, pins
 
 
@@ -390,11 +390,11 @@ def make_creature(vertices: int = 9000) -> Creature:
     parts = small_parts(detail)
     wanted = vertices - sum(len(part[0]) for part in parts)
     cell = np.sqrt(BODY_AREA / wanted)
-    for _ in range(10):
-        body, quads = polygonise(body_field, np.array([0.0, -0.45, 0.0]), np.array([0.72, 0.86, 1.84]), cell)
-        if is_closed(quads):
-            break
-        cell *= 0.99  # two sheets of skin met in one cell of the grid: another grid will part them
+    low, high = np.array([0.0, -0.45, 0.0]), np.array([0.72, 0.86, 1.84])
+    body, quads = polygonise(body_field, low, high, cell)
+    while not is_closed(quads):  # two sheets of skin met in one cell of the grid: another grid parts them
+        cell *= 0.99
+        body, quads = polygonise(body_field, low, high, cell)
     edges = edges_of(quads)
     slope = gradient(body_field, body)
     normals = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)

@@ -61,7 +61,7 @@ def walk(frame: float, length: float = 24.0) -> Posture:
     middle = 2 * pi * stance / 2  # left foot under the body
     left = cos(phase - middle)
     bounce = cos(2 * (phase - middle))
-    posture = Posture(hips=(0.05 * left, 0.0, -0.022 + 0.032 * bounce))
+    posture = Posture(hips=(0.05 * left, 0.0, -0.028 + 0.038 * bounce))
     swing = sin(phase - middle)
     posture.turns = {
         "hips": (3.0, 6.0 * left, 9.0 * swing),
@@ -98,7 +98,7 @@ def jump(frame: float) -> Posture:
             (11, -0.15, 0.0),
             (16, 0.02, 0.105),
             (28, 0.02, -0.105),
-            (31, -0.155, 0.0),
+            (31, -0.135, 0.0),
             (36, 0.012, 0.0),
             (39, 0.0, 0.0),
         ],
@@ -142,10 +142,10 @@ def shake(frame: float) -> Posture:
 
     posture = Posture(hips=(0.02 * twist(1.5), 0.0, crouch))
     posture.turns = {
-        "hips": (5.0 * strength, 3.0 * twist(2.0), 8.0 * twist(1.5)),
-        "spine": (4.0 * strength, 0.0, 8.0 * twist(1.0)),
-        "chest": (4.0 * strength, 4.0 * twist(0.8), 9.0 * twist(0.7)),
-        "head": (4.0 * strength, 9.0 * twist(0.5), 14.0 * twist(0.0)),
+        "hips": (5.0 * strength, 2.5 * twist(2.0), 6.0 * twist(1.5)),
+        "spine": (4.0 * strength, 0.0, 5.0 * twist(1.0)),
+        "chest": (4.0 * strength, 3.0 * twist(0.8), 5.0 * twist(0.7)),
+        "head": (4.0 * strength, 5.0 * twist(0.5), 3.0 * twist(0.0)),
         "tail": (0.0, 0.0, -14.0 * twist(2.5)),
         "upper_arm.L": (0.0, -16.0 * strength, 10.0 * twist(1.5)),
         "upper_arm.R": (0.0, 16.0 * strength, 10.0 * twist(1.5)),

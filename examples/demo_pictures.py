@@ -96,10 +96,16 @@ class Scenery:
 _scenery: Scenery | None = None
 
 
-def set_scenery(scenery: Scenery) -> None:
+def save_scenery(path: Path, scenery: Scenery) -> None:
+    """Write down what all pictures share, for `load_scenery`."""
+    np.savez(path, triangles=scenery.triangles, colours=scenery.colours, occlusion=scenery.occlusion)
+
+
+def load_scenery(path: Path) -> None:
     """Give a drawing process what all of its pictures share."""
     global _scenery
-    _scenery = scenery
+    with np.load(path) as arrays:
+        _scenery = Scenery(arrays["triangles"], arrays["colours"], arrays["occlusion"])
 
 
 def draw_job(job: tuple[FloatArray, Camera, int]) -> Image:
