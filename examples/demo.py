@@ -3,7 +3,8 @@
 
     python examples/demo.py --output demo-output
 
-writes creature.blend, contact-sheet.png and side-by-side.mp4. It needs the demo extra (`pip install .[demo]`) and no graphics card.
+writes creature.blend, contact-sheet.png and side-by-side.mp4. It needs the demo extra (`pip install .[demo]`) and no
+graphics card.
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-import demo_pictures
 import numpy as np
-from demo_pictures import Camera, Scenery
 from tqdm import tqdm
+
+import demo_pictures
+from demo_pictures import Camera, Scenery
 
 CAMERA = Camera(position=(4.0, -5.4, 1.9), target=(0.0, 0.08, 1.06), half_height=1.22, width=360, height=432)
 SHEET_CAMERA = Camera(position=(4.0, -5.4, 1.9), target=(0.0, 0.08, 1.06), half_height=1.22, width=270, height=340)
@@ -66,11 +68,12 @@ def bake_creature(folder: Path, vertices: int) -> tuple[Path, np.ndarray, np.nda
 
     Returns
     -------
-    The .blend file; the vertices of every frame (f, v, 3) without and with secondary motion; what is needed to draw them; and frames a second.
+    The .blend file; the vertices of every frame (f, v, 3) without and with secondary motion; what is needed to draw
+    them; and frames a second.
     """
     import bpy  # here, so that the processes that only draw do not load Blender
-    import demo_character
 
+    import demo_character
     from followthrough import blender
 
     with _stage("Building the creature"):
@@ -88,7 +91,8 @@ def bake_creature(folder: Path, vertices: int) -> tuple[Path, np.ndarray, np.nda
     dynamic = _record(frames, character.mesh)
 
     blend = folder.resolve() / "creature.blend"
-    with _stage(f"Saving ({report.objects[0].vertices:,} vertices, {report.objects[0].tets:,} tets, baked in {report.seconds:.1f} s)"):
+    baked = report.objects[0]
+    with _stage(f"Saving ({baked.vertices:,} vertices, {baked.tets:,} tets, baked in {report.seconds:.1f} s)"):
         bpy.context.preferences.filepaths.save_version = 0
         scene.frame_set(scene.frame_start)
         bpy.ops.wm.save_as_mainfile(filepath=str(blend), compress=True, check_existing=False)
@@ -101,9 +105,7 @@ def bake_creature(folder: Path, vertices: int) -> tuple[Path, np.ndarray, np.nda
     return blend, skinned, dynamic, scenery, scene.render.fps / scene.render.fps_base
 
 
-def draw(
-    folder: Path, skinned: np.ndarray, dynamic: np.ndarray, scenery: Scenery, fps: float
-) -> tuple[Path, Path]:
+def draw(folder: Path, skinned: np.ndarray, dynamic: np.ndarray, scenery: Scenery, fps: float) -> tuple[Path, Path]:
     """Write the contact sheet and the video."""
     sheet, video = folder.resolve() / "contact-sheet.png", folder.resolve() / "side-by-side.mp4"
     jobs = [(positions[frame - 1], SHEET_CAMERA, 3) for positions in (skinned, dynamic) for frame, _ in MOMENTS]
@@ -135,6 +137,7 @@ def draw(
 def _record(frames: range, obj: object) -> np.ndarray:
     """Vertices of an object in every frame: (f, v, 3) float32, in the world."""
     import bpy
+
     import demo_character
 
     recorded = []
@@ -148,7 +151,7 @@ def _record(frames: range, obj: object) -> np.ndarray:
 def _stage(name: str) -> Iterator[None]:
     started = time.perf_counter()
     print(f"{name} ... ", end="", flush=True)
-    with open(os.devnull, "w") as quiet, contextlib.redirect_stdout(quiet):
+    with Path(os.devnull).open("w") as quiet, contextlib.redirect_stdout(quiet):
         yield
     print(f"{time.perf_counter() - started:.1f} s", flush=True)
 

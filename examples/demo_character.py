@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The demo creature in Blender: mesh, armature, skin weights, material, painted groups and three actions, all made by script.
+"""The demo creature in Blender: mesh, armature, skin weights, material, painted groups and actions, all made by script.
 
     import bpy, demo_character
     character = demo_character.build()          # about 9,000 vertices; build(vertices=14000) for a benchmark
@@ -12,12 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import bpy
-import demo_motion
 import numpy as np
-from demo_creature import Creature, all_bones, make_creature
 from mathutils import Vector
 from numpy.typing import NDArray
 
+import demo_motion
+from demo_creature import Creature, all_bones, make_creature
 from followthrough.blender import MASS_GROUP, PINS_GROUP, STIFFNESS_GROUP, write_group
 from followthrough.settings import Settings, SpringSettings, VolumeSettings
 

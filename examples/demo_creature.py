@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The demo creature as plain arrays: its surface, colours, bones, skin weights and what is painted on it. No Blender here.
+"""The demo creature as plain arrays: surface, colours, bones, skin weights and what is painted on it. No Blender here.
 
-It stands on the ground, looks along -Y, is about 1.4 m tall without its ears, and is symmetric about x = 0. Its body is the zero level of
-one field, a smooth union of round shapes, each grown around a bone; eyes, nose, mouth and toes are closed parts of their own.
+It stands on the ground, looks along -Y, is about 1.4 m tall without its ears, and its body is symmetric about x = 0: the
+zero level of one field, a smooth union of round shapes, each grown around a bone. Eyes, nose, mouth and toes are closed
+parts of their own.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from demo_surface import (
     Field,
     FloatArray,
@@ -59,7 +61,14 @@ EAR = smooth_path(
 )
 TAIL = smooth_path(
     np.array(
-        [[0.0, 0.22, 0.40], [0.0, 0.40, 0.33], [0.0, 0.58, 0.36], [0.0, 0.72, 0.50], [0.0, 0.76, 0.68], [0.0, 0.70, 0.83]]
+        [
+            [0.0, 0.22, 0.40],
+            [0.0, 0.40, 0.33],
+            [0.0, 0.58, 0.36],
+            [0.0, 0.72, 0.50],
+            [0.0, 0.76, 0.68],
+            [0.0, 0.70, 0.83],
+        ]
     ),
     11,
 )
@@ -96,7 +105,7 @@ class Creature:
     vertices : (v, 3) float64
         Metres.
     faces
-        Corners of every face, counter-clockwise seen from outside: quads, and triangles at the poles of the small parts.
+        Corners of every face, counter-clockwise seen from outside: quads, and triangles at the small parts' poles.
     colours : (v, 3) float64
         Linear RGB.
     occlusion : (v,) float64
@@ -213,7 +222,7 @@ def linear(name: str) -> FloatArray:
 
 
 def skin_weights(vertices: FloatArray, edges: IntArray, smoothing: int) -> tuple[list[str], FloatArray]:
-    """Weights by distance to the shapes around the bones, smoothed over the mesh: bones, and (v, b) with rows that sum to 1."""
+    """Weights by distance to the shapes around bones, smoothed over the mesh: bones, and (v, b), rows summing to 1."""
     bones = list(all_bones())
     columns = []
     sides = {1: shapes(vertices), -1: shapes(vertices * np.array([-1.0, 1.0, 1.0]))}
@@ -244,7 +253,7 @@ def body_regions(vertices: FloatArray) -> dict[str, FloatArray]:
     flat = np.array([1.0, EAR_FLATNESS, 1.0])
     ear_place, _ = along(folded * flat, EAR * flat)
     tail_place, _ = along(folded, TAIL)
-    x, y, z = folded.T
+    z = folded[:, 2]
     trunk = np.maximum(nearest["spine"], nearest["hips"]) * smoothstep(0.96, 0.80, z) * smoothstep(0.16, 0.27, z)
     limb = np.minimum.reduce([parts[b] for b in ("upper_arm.L", "forearm.L", "hand.L", "shin.L", "foot.L")])
     trunk = trunk * smoothstep(0.0, 0.06, limb)
@@ -271,7 +280,12 @@ def body_colours(vertices: FloatArray, normals: FloatArray, regions: dict[str, F
 
     colours = np.tile(linear("skin"), (len(vertices), 1))
     folded = np.column_stack([x, y, z])
-    spots = [((0.10, 0.24, 0.72), 0.075), ((0.24, 0.22, 0.60), 0.06), ((0.09, 0.20, 0.90), 0.055), ((0.20, 0.30, 0.46), 0.07)]
+    spots = [
+        ((0.10, 0.24, 0.72), 0.075),
+        ((0.24, 0.22, 0.60), 0.06),
+        ((0.09, 0.20, 0.90), 0.055),
+        ((0.20, 0.30, 0.46), 0.07),
+    ]
     spots += [((0.12, 0.14, 1.28), 0.06), ((0.20, 0.09, 1.16), 0.045)]
     for centre, radius in spots:
         distance = np.linalg.norm(folded - np.array(centre), axis=1)
@@ -287,7 +301,9 @@ def body_colours(vertices: FloatArray, normals: FloatArray, regions: dict[str, F
     place, distance = along(folded * flat, EAR * flat)
     wide = np.linalg.norm((folded - centre_of(EAR, place)) * np.array([1.0, 0.0, 1.0]), axis=1)
     radius = np.interp(place, np.linspace(0, 1, len(EAR_RADII)), EAR_RADII)
-    inner = smoothstep(0.85, 0.55, wide / radius) * smoothstep(0.0, 0.35, -normals[:, 1]) * smoothstep(0.14, 0.28, place)
+    inner = (
+        smoothstep(0.85, 0.55, wide / radius) * smoothstep(0.0, 0.35, -normals[:, 1]) * smoothstep(0.14, 0.28, place)
+    )
     colours = mix(colours, "coral", inner * smoothstep(0.95, 0.86, place) * (regions["ear"] > 0))
     colours = mix(colours, "back", smoothstep(0.80, 0.86, regions["ear"]) * (1 - inner))
     colours = mix(colours, "belly", smoothstep(0.76, 0.80, regions["tail"]))
@@ -305,7 +321,8 @@ def centre_of(path: FloatArray, place: FloatArray) -> FloatArray:
 def paint_body(regions: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Stiffness, mass and pins of the body's vertices, (v,) each.
 
-    What hangs free of bones is soft: belly, rump, cheeks, and ears and tail ever softer towards their tips. Face, hands and feet are pinned.
+    What hangs free of bones is soft: belly, rump, cheeks, and ears and tail ever softer towards their tips. Face, hands
+    and feet are pinned.
     """
     softness = np.maximum.reduce(
         [
@@ -324,7 +341,7 @@ def paint_body(regions: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray, 
 
 
 def small_parts(detail: float) -> list[tuple[FloatArray, list[tuple[int, ...]], FloatArray, str]]:
-    """Eyes, lids, nose, mouth, tooth and claws of both sides: vertices, faces, colours and the bone that carries each."""
+    """Eyes, lids, nose, mouth, tooth and claws: vertices, faces, colours and the bone that carries each."""
 
     def rings(count: int) -> FloatArray:
         return np.linspace(0.0, np.pi, max(int(count * detail), 5) + 1)[1:-1]
@@ -383,7 +400,10 @@ def onto(field: Field, points: FloatArray, direction: FloatArray) -> FloatArray:
 
 
 def make_creature(vertices: int = 9000) -> Creature:
-    """Make the creature with about this many vertices (2,000 or more; within some 5 %). The same number gives the same arrays."""
+    """Make the creature with about this many vertices (2,000 or more; within a tenth).
+
+    The same number gives the same arrays.
+    """
     if vertices < 2000:
         raise ValueError(f"vertices: found {vertices}, expected 2000 or more (ears and toes need that many)")
     detail = float(np.clip(np.sqrt(vertices / 9000.0), 0.5, 2.0))
@@ -398,7 +418,7 @@ def make_creature(vertices: int = 9000) -> Creature:
     edges = edges_of(quads)
     slope = gradient(body_field, body)
     normals = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)
-    bones, weights = skin_weights(body, edges, smoothing=int(round(0.06 / cell)) ** 2)
+    bones, weights = skin_weights(body, edges, smoothing=round(0.06 / cell) ** 2)
     regions = body_regions(body)
     stiffness, mass, pins = paint_body(regions)
     colours = body_colours(body, normals, regions)

@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The demo creature's actions: Walk, Jump and Shake, as keys on its armature. Nothing soft is animated here; that is the library's part.
+"""The demo creature's actions: Walk, Jump and Shake, as keys on its armature. What is soft is not animated here.
 
-Rotations are given in degrees about the armature's axes: about x leans forwards (and moves a hanging arm backwards), about y leans to the
-creature's left, about z turns to its left.
+Rotations are given in degrees about the armature's axes: about x leans forwards (and moves a hanging arm backwards), about
+y leans to the creature's left, about z turns to its left.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from math import cos, pi, radians, sin
 
 import bpy
-from demo_creature import BONES
 from mathutils import Euler, Quaternion, Vector
+
+from demo_creature import BONES
 
 FPS = 24
 HIPS = Vector(BONES["hips"][0])
@@ -36,7 +38,7 @@ def hermite(frame: float, keys: list[tuple[float, float, float]]) -> float:
     """Value at a frame of a curve through keys (frame, value, slope a frame), constant outside."""
     if frame <= keys[0][0]:
         return keys[0][1]
-    for (f0, v0, s0), (f1, v1, s1) in zip(keys[:-1], keys[1:], strict=True):
+    for (f0, v0, s0), (f1, v1, s1) in pairwise(keys):
         if frame <= f1:
             span = f1 - f0
             t = (frame - f0) / span
@@ -89,7 +91,7 @@ def walk(frame: float, length: float = 24.0) -> Posture:
 
 
 def jump(frame: float) -> Posture:
-    """Anticipation, a leap of a third of a metre (half a second in the air), a hard landing, and a stop within a third of a second."""
+    """Anticipation, half a second in the air, a hard landing, and a stop within a third of a second."""
     height = hermite(
         frame,
         [
@@ -126,9 +128,6 @@ def jump(frame: float) -> Posture:
     for side in "LR":
         posture.ankles[side] = (0.0, (height - 0.02) + tuck if flying else 0.0)
         posture.feet[side] = toes
-    if 13 <= frame <= 16:
-        lift = 0.055 * (frame - 13) / 3  # heels leave the floor first
-        posture.ankles = {"L": (0.0, lift * 0.5), "R": (0.0, lift * 0.5)}
     return posture
 
 
@@ -156,12 +155,26 @@ def shake(frame: float) -> Posture:
 
 
 #: Every action: what it does, and its length in frames.
-ACTIONS: dict[str, tuple[Callable[[float], Posture], int]] = {"Walk": (walk, 24), "Jump": (jump, 50), "Shake": (shake, 40)}
+ACTIONS: dict[str, tuple[Callable[[float], Posture], int]] = {
+    "Walk": (walk, 24),
+    "Jump": (jump, 50),
+    "Shake": (shake, 40),
+}
 
 
 def rotation(turn: tuple[float, float, float]) -> Quaternion:
     """Rotation of angles in degrees about x, then y, then z."""
     return Euler([radians(angle) for angle in turn], "XYZ").to_quaternion()
+
+
+def clearance(down: float) -> float:
+    """How far an ankle must rise so that claws, ball and heel of a foot turned toes down, radians, stay above the floor."""
+    return max(
+        0.30 * sin(down) + 0.04 * cos(down) - 0.09,
+        0.22 * sin(down) + 0.09 * cos(down) - 0.09,
+        -0.09 * sin(down) + 0.085 * cos(down) - 0.09,
+        0.0,
+    )
 
 
 def pose(armature: bpy.types.Object, posture: Posture) -> None:
@@ -172,7 +185,8 @@ def pose(armature: bpy.types.Object, posture: Posture) -> None:
         mirror = Vector((sign, 1.0, 1.0))
         joint, knee, ankle = (point * mirror for point in (HIP_JOINT, KNEE, ANKLE))
         backwards, up = posture.ankles.get(side, (0.0, 0.0))
-        target = ankle + Vector((0.0, backwards, up))
+        down = radians(posture.feet.get(side, 0.0))
+        target = ankle + Vector((0.0, backwards, max(up, clearance(down))))
         target = HIPS + hips.inverted() @ (target - HIPS - Vector(posture.hips))
         thigh, shin = (knee - joint).length, (ankle - knee).length
         reach = target - joint

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures without a GPU: a small renderer in NumPy, contact sheets and videos.
 
-Blender's own renderers need a graphics card or many seconds a frame; this one draws the demo's 20,000 triangles in a fraction of a
-second on one core, with soft shadows from one light, and the same on every machine.
+Blender's own renderers need a graphics card or many seconds a frame; this one draws the demo's 18,000 triangles in a fraction
+of a second on one core, with soft shadows from one light, and the same on every machine.
 """
 
 from __future__ import annotations
@@ -114,7 +114,9 @@ def draw_job(job: tuple[FloatArray, Camera, int]) -> Image:
     return render(job[0].astype(np.float64), _scenery, job[1], job[2])
 
 
-def rasterise(screen: FloatArray, triangles: IntArray, width: int, height: int) -> tuple[IntArray, IntArray, FloatArray]:
+def rasterise(
+    screen: FloatArray, triangles: IntArray, width: int, height: int
+) -> tuple[IntArray, IntArray, FloatArray]:
     """Nearest triangle in every pixel that any covers.
 
     Parameters
@@ -169,10 +171,7 @@ def vertex_normals(positions: FloatArray, triangles: IntArray) -> FloatArray:
     a, b, c = (positions[triangles[:, k]] for k in range(3))
     facing = np.cross(b - a, c - a)
     total = np.column_stack(
-        [
-            np.bincount(triangles.ravel(), weights=np.repeat(facing[:, k], 3), minlength=len(positions))
-            for k in range(3)
-        ]
+        [np.bincount(triangles.ravel(), weights=np.repeat(facing[:, k], 3), minlength=len(positions)) for k in range(3)]
     )
     return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20))
 
@@ -221,9 +220,7 @@ def render(positions: FloatArray, scenery: Scenery, camera: Camera, samples: int
     -------
     (height, width, 3) uint8, sRGB.
     """
-    fine = Camera(
-        camera.position, camera.target, camera.half_height, camera.width * samples, camera.height * samples
-    )
+    fine = Camera(camera.position, camera.target, camera.half_height, camera.width * samples, camera.height * samples)
     eye = np.array(fine.position)
     triangles = scenery.triangles
     shadow = ShadowMap(positions, triangles)

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces from formulas: smooth unions of round shapes, and a closed mesh of quads on their zero level.
 
-A field is a function from points (p, 3) to signed distances (p,), negative inside. They need not be exact distances; only the sign and a
-gradient that does not vanish near the surface matter.
+A field is a function from points (p, 3) to signed distances (p,), negative inside. They need not be exact distances; only
+the sign and a gradient that does not vanish near the surface matter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ def along(points: FloatArray, path: FloatArray) -> tuple[FloatArray, FloatArray]
     """Nearest place on a polyline (k, 3): how far along it, from 0 to 1 by corner, and the distance; (p,) each."""
     place = np.zeros(len(points))
     distance = np.full(len(points), np.inf)
-    for index, (start, end) in enumerate(zip(path[:-1], path[1:], strict=True)):
+    for index, (start, end) in enumerate(pairwise(path)):
         direction = end - start
         t = np.clip((points - start) @ direction / (direction @ direction), 0.0, 1.0)
         to_segment = np.linalg.norm(points - start - t[:, None] * direction, axis=1)
@@ -92,8 +93,9 @@ def polygonise(
 ) -> tuple[FloatArray, IntArray]:
     """Closed mesh of quads on the zero level of a field: surface nets, relaxed along the surface and put back on it.
 
-    The field is symmetric about x = 0 and looked at for x > 0 only: a grid of cubes covers the box from `low` to `high` and its mirror
-    image, so the mesh is symmetric, with vertices on the plane. Every cube that the surface crosses gets a vertex, every grid edge that it crosses a quad.
+    The field is symmetric about x = 0 and looked at for x > 0 only: a grid of cubes covers the box from `low` to `high`
+    and its mirror image, so the mesh is symmetric, with vertices on the plane. Every cube that the surface crosses gets a
+    vertex, every grid edge that it crosses a quad.
 
     Returns
     -------
@@ -233,7 +235,7 @@ def outwards(vertices: FloatArray, faces: list[tuple[int, ...]]) -> list[tuple[i
 
 
 def is_closed(faces: IntArray) -> bool:
-    """Whether every edge of some faces (f, k) belongs to exactly two of them, which run along it in opposite directions."""
+    """Whether every edge of some faces (f, k) belongs to two of them, which run along it in opposite directions."""
     corners = faces.shape[1]
     sides = np.concatenate([faces[:, [k, (k + 1) % corners]] for k in range(corners)])
     code = sides[:, 0] * (faces.max() + 1) + sides[:, 1]

@@ -18,7 +18,6 @@ sys.path.insert(0, str(EXAMPLES))
 import demo_character  # noqa: E402
 import demo_creature  # noqa: E402
 import demo_motion  # noqa: E402
-
 from followthrough import blender  # noqa: E402
 
 SMALL = 2500
@@ -108,7 +107,11 @@ def test_actions_are_there_and_move_the_armature() -> None:
     demo_character.show(character)
     scene = bpy.context.scene
     assert (scene.frame_start, scene.render.fps) == (1, 24)
-    toes = [v for v, bone in enumerate(np.argmax(character.creature.weights, axis=1)) if "foot" in character.creature.bones[bone]]
+    toes = [
+        v
+        for v, bone in enumerate(np.argmax(character.creature.weights, axis=1))
+        if "foot" in character.creature.bones[bone]
+    ]
     positions = positions_in(range(1, scene.frame_end + 1), character.mesh)
     lowest = positions[:, toes, 2].min(axis=1)
     assert lowest.max() > 0.2, "it never leaves the floor"
