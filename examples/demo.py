@@ -26,19 +26,19 @@ from tqdm import tqdm
 import demo_pictures
 from demo_pictures import Camera, Scenery
 
-CAMERA = Camera(position=(4.0, -5.4, 1.9), target=(0.0, 0.08, 1.06), half_height=1.22, width=360, height=432)
-SHEET_CAMERA = Camera(position=(4.0, -5.4, 1.9), target=(0.0, 0.08, 1.06), half_height=1.22, width=270, height=340)
+CAMERA = Camera(position=(4.0, -5.4, 1.9), target=(0.0, 0.08, 1.0), half_height=1.27, width=360, height=432)
+SHEET_CAMERA = Camera(position=(4.0, -5.4, 1.9), target=(0.0, 0.08, 1.0), half_height=1.27, width=270, height=340)
 
 #: Moments of the contact sheet: frame and caption.
 MOMENTS = [
-    (8, "step"),
-    (20, "step"),
+    (18, "step"),
     (47, "crouch"),
     (54, "take-off"),
-    (63, "falling"),
-    (67, "landing"),
-    (71, "fast stop"),
-    (98, "shake"),
+    (60, "in the air"),
+    (68, "landing"),
+    (71, "rebound"),
+    (76, "fast stop"),
+    (97, "shake"),
 ]
 
 

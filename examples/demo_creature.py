@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The demo creature as plain arrays: surface, colours, bones, skin weights and what is painted on it. No Blender here.
 
-It stands on the ground, looks along -Y, is about 1.4 m tall without its ears, and its body is symmetric about x = 0: the
-zero level of one field, a smooth union of round shapes, each grown around a bone. Eyes, nose, mouth and toes are closed
+It stands on the ground, looks along -Y, is 1.4 m tall without its ears, and its body is symmetric about x = 0: the zero
+level of one field, a smooth union of round shapes, each grown around a bone. Eyes, nose, mouth and toes are closed
 parts of their own.
 """
 
@@ -328,7 +328,7 @@ def paint_body(regions: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray, 
         [
             0.90 * smoothstep(0.02, 1.0, regions["ear"]),
             0.75 * smoothstep(0.02, 1.0, regions["tail"]),
-            0.70 * regions["belly"],
+            0.64 * regions["belly"],
             0.45 * regions["rump"],
             0.30 * regions["sides"],
             0.20 * regions["cheek"],

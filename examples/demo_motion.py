@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The demo creature's actions: Walk, Jump and Shake, as keys on its armature. What is soft is not animated here.
 
-Rotations are given in degrees about the armature's axes: about x leans forwards (and moves a hanging arm backwards), about
-y leans to the creature's left, about z turns to its left.
+Rotations are given in degrees about the armature's axes: about x leans forwards (and moves a hanging arm backwards),
+about y leans to the creature's left, about z turns to its left.
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ def rotation(turn: tuple[float, float, float]) -> Quaternion:
 
 
 def clearance(down: float) -> float:
-    """How far an ankle must rise so that claws, ball and heel of a foot turned toes down, radians, stay above the floor."""
+    """How far an ankle must rise so that a foot turned toes down by this angle, radians, stays above the floor."""
     return max(
         0.30 * sin(down) + 0.04 * cos(down) - 0.09,
         0.22 * sin(down) + 0.09 * cos(down) - 0.09,

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures without a GPU: a small renderer in NumPy, contact sheets and videos.
 
-Blender's own renderers need a graphics card or many seconds a frame; this one draws the demo's 18,000 triangles in a fraction
-of a second on one core, with soft shadows from one light, and the same on every machine.
+Blender's own renderers need a graphics card or many seconds a frame; this one draws the demo's 18,000 triangles in a
+fraction of a second on one core, with soft shadows from one light, and the same on every machine.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -224,7 +225,9 @@ def render(positions: FloatArray, scenery: Scenery, camera: Camera, samples: int
     eye = np.array(fine.position)
     triangles = scenery.triangles
     shadow = ShadowMap(positions, triangles)
-    picture = _backdrop(fine, shadow)
+    stage = _backdrop(camera, shadow).reshape(camera.height, 1, camera.width, 1, 3)
+    shape = (camera.height, samples, camera.width, samples, 3)
+    picture = np.broadcast_to(stage, shape).reshape(-1, 3).copy()
 
     normals = vertex_normals(positions, triangles)
     screen = fine.project(positions)
@@ -260,28 +263,34 @@ def render(positions: FloatArray, scenery: Scenery, camera: Camera, samples: int
     rim = 0.16 * grazing**3 * (0.4 + 0.6 * up[:, 0])
     picture[pixels] = albedo * (key * KEY + ambient) + gloss[:, None] * KEY + rim[:, None] * SKY_LIGHT
 
-    picture = picture.reshape(camera.height, samples, camera.width, samples, 3).mean(axis=(1, 3))
+    picture = picture.reshape(shape).mean(axis=(1, 3))
     return _to_srgb(picture)
 
 
 def _backdrop(camera: Camera, shadow: ShadowMap) -> FloatArray:
     """Floor with the creature's shadow, fading into the sky: (pixels, 3), linear."""
+    picture, near, points, floor, fade = _empty_stage(camera)
+    picture = picture.copy()
+    shaded = floor * (0.45 + 0.55 * shadow.light(points, bias=0.0, spread=0.06))[:, None]
+    picture[near] = shaded + (SKY_LOW - shaded) * fade
+    return picture
+
+
+@lru_cache(maxsize=4)
+def _empty_stage(camera: Camera) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
+    """The picture without anybody (pixels, 3), and where a shadow may reach the floor: pixels, points, colour, fading."""
     rays = camera.rays()
     eye = np.array(camera.position)
-    height = np.clip(rays[:, 2:] * 2.2, 0.0, 1.0)
-    picture = SKY_LOW + (SKY_TOP - SKY_LOW) * height
+    picture = SKY_LOW + (SKY_TOP - SKY_LOW) * np.clip(rays[:, 2:] * 2.2, 0.0, 1.0)
     down = np.flatnonzero(rays[:, 2] < -1e-3)
-    reach = -eye[2] / rays[down, 2]
-    point = eye + reach[:, None] * rays[down]
-    from_middle = np.hypot(point[:, 0], point[:, 1])
-    near = np.flatnonzero(from_middle < 2.2)
-    lit = np.ones(len(down))
-    lit[near] = 0.45 + 0.55 * shadow.light(point[near], bias=0.0, spread=0.06)
-    floor = FLOOR * lit[:, None] * (0.55 * KEY + 0.62 * SKY_LIGHT)
+    points = eye - (eye[2] / rays[down, 2])[:, None] * rays[down]
+    from_middle = np.hypot(points[:, 0], points[:, 1])
+    floor = FLOOR * (0.55 * KEY + 0.62 * SKY_LIGHT)
     fade = np.clip((from_middle - 1.0) / 4.0, 0.0, 1.0)[:, None]
     fade = fade * fade * (3.0 - 2.0 * fade)
     picture[down] = floor + (SKY_LOW - floor) * fade
-    return picture
+    near = from_middle < 2.2
+    return picture, down[near], points[near], floor, fade[near]
 
 
 def _to_srgb(picture: FloatArray) -> Image:
@@ -325,7 +334,7 @@ def labelled(picture: Image, text: str) -> Image:
     canvas = Pictures.fromarray(picture)
     font = ImageFont.load_default(size=18)
     ImageDraw.Draw(canvas).text(
-        (canvas.width // 2, canvas.height - 20), text, fill=(70, 66, 72), font=font, anchor="mm"
+        (canvas.width // 2, canvas.height - 16), text, fill=(70, 66, 72), font=font, anchor="mm"
     )
     return np.asarray(canvas)
 

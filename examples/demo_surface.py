@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces from formulas: smooth unions of round shapes, and a closed mesh of quads on their zero level.
 
-A field is a function from points (p, 3) to signed distances (p,), negative inside. They need not be exact distances; only
-the sign and a gradient that does not vanish near the surface matter.
+A field is a function from points (p, 3) to signed distances (p,), negative inside. They need not be exact distances;
+only the sign and a gradient that does not vanish near the surface matter.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ def polygonise(
     """Closed mesh of quads on the zero level of a field: surface nets, relaxed along the surface and put back on it.
 
     The field is symmetric about x = 0 and looked at for x > 0 only: a grid of cubes covers the box from `low` to `high`
-    and its mirror image, so the mesh is symmetric, with vertices on the plane. Every cube that the surface crosses gets a
-    vertex, every grid edge that it crosses a quad.
+    and its mirror image, so the mesh is symmetric, with vertices on the plane. Every cube that the surface crosses gets
+    a vertex, every grid edge that it crosses a quad.
 
     Returns
     -------
