@@ -278,7 +278,7 @@ def _backdrop(camera: Camera, shadow: ShadowMap) -> FloatArray:
 
 @lru_cache(maxsize=4)
 def _empty_stage(camera: Camera) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:
-    """The picture without anybody (pixels, 3), and where a shadow may reach the floor: pixels, points, colour, fading."""
+    """The picture without anybody (pixels, 3); where a shadow may reach the floor: pixels, points, colour, fading."""
     rays = camera.rays()
     eye = np.array(camera.position)
     picture = SKY_LOW + (SKY_TOP - SKY_LOW) * np.clip(rays[:, 2:] * 2.2, 0.0, 1.0)
