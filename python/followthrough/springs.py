@@ -29,7 +29,7 @@ class SpringsState:
 
 
 class Springs:
-    """Every vertex hangs on its reference by a damped spring, integrated in closed form: stable for any constants and any dt.
+    """Every vertex hangs on its reference by a damped spring, in closed form: stable for any constants and any dt.
 
     Parameters
     ----------

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""NumPy archives (.npz) without pickle: foreign and damaged files are refused by name, nothing is ever half-written."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def read_npz(path: Path | str) -> dict[str, NDArray[Any]]:
+    """Read every array of an archive.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    dict
+        Arrays by name, as the file orders them.
+
+    Raises
+    ------
+    ValueError
+        Where the file is missing, damaged, no archive, or holds something else than plain arrays, naming the file.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise ValueError(f"{path}: found a folder, expected an .npz file")
+    try:
+        archive = np.load(path, allow_pickle=False)
+    except FileNotFoundError:
+        raise ValueError(f"{path}: found no such file, expected an .npz file") from None
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(
+            f"{path}: found no readable .npz archive, perhaps cut short or of another format ({error})"
+        ) from None
+    if not isinstance(archive, np.lib.npyio.NpzFile):
+        raise ValueError(f"{path}: found a single array, expected an .npz archive of several named ones")
+    arrays: dict[str, NDArray[Any]] = {}
+    with archive:
+        for name in archive.files:
+            try:
+                array = archive[name]
+            except (
+                ValueError,
+                EOFError,
+                OSError,
+                KeyError,
+                zipfile.BadZipFile,
+                zlib.error,
+                NotImplementedError,
+            ) as error:
+                raise ValueError(f"{path}: {name}: found no readable array, perhaps cut short ({error})") from None
+            if not isinstance(array, np.ndarray):
+                raise ValueError(f"{path}: {name}: found something else than an array")
+            arrays[name] = array
+    return arrays
+
+
+def require_output_folder(path: Path | str) -> Path:
+    """Check that a file can be made at this path, before the work starts.
+
+    Raises
+    ------
+    ValueError
+        Where its folder is missing or not writable, or the path is a folder itself.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise ValueError(f"{path}: found a folder, expected the name of the file to write")
+    if not path.parent.is_dir():
+        raise ValueError(f"{path}: its folder {path.parent} is not there; make it first")
+    if not os.access(path.parent, os.W_OK):
+        raise ValueError(f"{path}: its folder {path.parent} cannot be written to")
+    return path
+
+
+@contextmanager
+def written_whole(path: Path | str) -> Iterator[Path]:
+    """Give a temporary file beside `path` that takes its place at the end, or is removed where anything goes wrong."""
+    path = require_output_folder(path)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        mask = os.umask(0)
+        os.umask(mask)
+        temporary.chmod(0o666 & ~mask)  # mkstemp's own files are private
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_npz(path: Path | str, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write arrays under their names, compressed, all or nothing.
+
+    Raises
+    ------
+    ValueError
+        Where the folder is missing.
+    """
+    with written_whole(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **{name: np.asarray(array) for name, array in arrays.items()})
