@@ -29,12 +29,16 @@ class Rig:
         Head and tail of every bone at rest, in the mesh's object space.
     skinning
         "dual-quaternion" where the modifier preserves volume.
+    bone_rest_matrices : (b, 4, 4) float64 or None
+        From a bone's own axes to the armature's space at rest (`Bone.matrix_local`). Dual quaternions need them where
+        bones are scaled unevenly.
     """
 
     bone_indices: IntArray
     bone_weights: FloatArray
     bone_segments: FloatArray
     skinning: Skinning = "linear"
+    bone_rest_matrices: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -82,10 +86,16 @@ class BonePose:
         From the mesh's object space at rest to the same space posed, one a bone of the `Rig`.
     world : (4, 4) float64
         From the mesh's object space to the world.
+    armature : (4, 4) float64 or None
+        From the armature's space to the mesh's object space: the inverse of the mesh's world matrix times the
+        armature's. Dual quaternions need it where one of the two objects is scaled unevenly.
+
+    See `followthrough.skinning` for how these follow from Blender's matrices.
     """
 
     bone_matrices: FloatArray
     world: FloatArray
+    armature: FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,9 @@ def make_springs(volume: Volume, settings: SpringSettings, dt: float) -> Springs
     light, heavy = settings.mass_range
     mass = light ** (1.0 - volume.mass) * heavy**volume.mass
     unit_stiffness = low ** (1.0 - volume.stiffness) * high**volume.stiffness
-    unit_damping = 2.0 * settings.damping_ratio * np.sqrt(unit_stiffness) if settings.damping is None else settings.damping
+    unit_damping = (
+        2.0 * settings.damping_ratio * np.sqrt(unit_stiffness) if settings.damping is None else settings.damping
+    )
     free = 1.0 - np.where(volume.pinned, 0.0, volume.pins)
     return Springs(
         stiffness=unit_stiffness / mass / free,
@@ -131,6 +133,8 @@ class SecondaryMotion:
                 displacements,
                 surface.rig.skinning,
                 self.settings.minimum_stretch,
+                surface.rig.bone_rest_matrices,
+                pose.armature,
             )
         assert not isinstance(pose, BonePose)
         return skinning.invert_displacements(pose.jacobians, displacements, self.settings.minimum_stretch)

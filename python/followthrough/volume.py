@@ -60,14 +60,25 @@ class Volume:
     def reference(self, pose: Pose) -> FloatArray:
         """Where the character's own rig puts the volume's vertices: (n, 3) in the world, metres."""
         if isinstance(pose, BonePose):
-            if self.surface.rig is None or self.bone_indices is None or self.bone_weights is None:
-                raise ValueError("pose: found bone matrices, but this volume was made without a rig; expected a SampledPose")
+            rig = self.surface.rig
+            if rig is None or self.bone_indices is None or self.bone_weights is None:
+                raise ValueError(
+                    "pose: found bone matrices, but this volume was made without a rig; expected a SampledPose"
+                )
             local = skinning.pose_vertices(
-                self.rest_positions, self.bone_indices, self.bone_weights, pose.bone_matrices, self.surface.rig.skinning
+                self.rest_positions,
+                self.bone_indices,
+                self.bone_weights,
+                pose.bone_matrices,
+                rig.skinning,
+                rig.bone_rest_matrices,
+                pose.armature,
             )
         else:
             if self.follower is None:
-                raise ValueError("pose: found sampled positions, but this volume follows an armature; expected a BonePose")
+                raise ValueError(
+                    "pose: found sampled positions, but this volume follows an armature; expected a BonePose"
+                )
             local = self.follower(pose.positions)
         return _transformed(local, pose.world)
 
@@ -100,7 +111,9 @@ def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None
     for name in ("stiffness", "mass", "pins"):
         values = getattr(paint, name)
         if values.shape != (count,):
-            raise ValueError(f"paint.{name}: found shape {values.shape}, expected ({count},), one value a surface vertex")
+            raise ValueError(
+                f"paint.{name}: found shape {values.shape}, expected ({count},), one value a surface vertex"
+            )
     metres = surface.rest_positions @ surface.object_scale.T
     tet_mesh = mesh.tetrahedralize(
         metres, surface.triangles, cells=settings.cells, split_parts=settings.split_parts, method=settings.method

@@ -1,0 +1,270 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "prepared_surface.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+#include <numeric>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "box_tree.hpp"
+#include "disjoint_sets.hpp"
+#include "followthrough/errors.hpp"
+
+namespace followthrough {
+namespace {
+
+constexpr double kWeldDistance = 1e-6;  // of the longest side
+
+// Joins vertices closer than `distance`: each looks into its own bucket and those that its neighbourhood reaches.
+std::vector<Index> weld(ConstPositions vertices, const Eigen::Vector3d& origin, double distance, Index& count) {
+  using Key = std::array<std::int64_t, 3>;
+  struct Hash {
+    std::size_t operator()(const Key& key) const noexcept {
+      std::uint64_t h = 0;
+      for (const std::int64_t k : key) h = (h ^ static_cast<std::uint64_t>(k)) * 0x9E3779B97F4A7C15ull, h ^= h >> 29;
+      return static_cast<std::size_t>(h);
+    }
+  };
+  const double bucket = 16 * distance;
+  std::unordered_map<Key, Index, Hash> heads;
+  heads.reserve(static_cast<std::size_t>(vertices.rows()));
+  std::vector<Index> next(static_cast<std::size_t>(vertices.rows()), -1);
+  DisjointSets sets(static_cast<std::size_t>(vertices.rows()));
+  for (Eigen::Index v = 0; v < vertices.rows(); ++v) {
+    const Eigen::Vector3d scaled = (Eigen::Vector3d(vertices.row(v)) - origin) / bucket;
+    const double reach = distance / bucket;
+    Key low, high;
+    for (std::size_t k = 0; k < 3; ++k) {
+      low[k] = static_cast<std::int64_t>(std::floor(scaled[static_cast<Eigen::Index>(k)] - reach));
+      high[k] = static_cast<std::int64_t>(std::floor(scaled[static_cast<Eigen::Index>(k)] + reach));
+    }
+    for (std::int64_t x = low[0]; x <= high[0]; ++x) {
+      for (std::int64_t y = low[1]; y <= high[1]; ++y) {
+        for (std::int64_t z = low[2]; z <= high[2]; ++z) {
+          const auto found = heads.find({x, y, z});
+          if (found == heads.end()) continue;
+          for (Index other = found->second; other >= 0; other = next[static_cast<std::size_t>(other)]) {
+            if ((vertices.row(other) - vertices.row(v)).squaredNorm() <= distance * distance)
+              sets.join(other, static_cast<Index>(v));
+          }
+        }
+      }
+    }
+    // Only the first of its set needs to be found again by position, so crowds of coincident vertices stay cheap.
+    if (sets.find(static_cast<Index>(v)) != v) continue;
+    const Key own = {static_cast<std::int64_t>(std::floor(scaled[0])), static_cast<std::int64_t>(std::floor(scaled[1])),
+                     static_cast<std::int64_t>(std::floor(scaled[2]))};
+    const auto [place, fresh] = heads.try_emplace(own, -1);
+    next[static_cast<std::size_t>(v)] = place->second;
+    place->second = static_cast<Index>(v);
+  }
+  return sets.labels(count);
+}
+
+struct DirectedEdge {
+  Index low, high, triangle;
+  int direction;  // +1: the face runs from low to high
+  bool operator<(const DirectedEdge& other) const {
+    return std::tie(low, high, triangle) < std::tie(other.low, other.high, other.triangle);
+  }
+};
+
+std::vector<DirectedEdge> sorted_edges(const Triangles& triangles) {
+  std::vector<DirectedEdge> edges;
+  edges.reserve(3 * static_cast<std::size_t>(triangles.rows()));
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
+    for (int k = 0; k < 3; ++k) {
+      const Index a = triangles(t, k), b = triangles(t, (k + 1) % 3);
+      edges.push_back({std::min(a, b), std::max(a, b), static_cast<Index>(t), a < b ? 1 : -1});
+    }
+  }
+  std::sort(edges.begin(), edges.end());
+  return edges;
+}
+
+// Calls visit(first, last) for the faces of each edge.
+template <typename Visit>
+void for_each_edge(const std::vector<DirectedEdge>& edges, Visit&& visit) {
+  for (std::size_t first = 0, last = 0; first < edges.size(); first = last) {
+    while (last < edges.size() && edges[last].low == edges[first].low && edges[last].high == edges[first].high) ++last;
+    visit(first, last);
+  }
+}
+
+struct Patches {
+  std::vector<Index> labels;  // patch of each triangle
+  Index count = 0;
+};
+
+// Turns faces so that neighbours across edges of exactly two faces agree.
+Patches make_consistent(PreparedSurface& surface, const std::vector<DirectedEdge>& edges) {
+  const auto count = static_cast<std::size_t>(surface.triangles.rows());
+  std::vector<std::vector<std::pair<Index, bool>>> neighbours(count);  // neighbour, must be turned relative to this one
+  for_each_edge(edges, [&](std::size_t first, std::size_t last) {
+    if (last - first != 2) return;
+    const auto& a = edges[first];
+    const auto& b = edges[first + 1];
+    const bool turn = a.direction == b.direction;
+    neighbours[static_cast<std::size_t>(a.triangle)].emplace_back(b.triangle, turn);
+    neighbours[static_cast<std::size_t>(b.triangle)].emplace_back(a.triangle, turn);
+  });
+  Patches patches;
+  patches.labels.assign(count, -1);
+  std::vector<char> turned(count, 0);
+  std::vector<Index> patch;
+  for (std::size_t seed = 0; seed < count; ++seed) {
+    if (patches.labels[seed] >= 0) continue;
+    patch.assign(1, static_cast<Index>(seed));
+    patches.labels[seed] = patches.count;
+    double balance = 0;  // area as it was minus area turned round
+    for (std::size_t at = 0; at < patch.size(); ++at) {
+      const auto t = static_cast<std::size_t>(patch[at]);
+      const Eigen::Vector3d a = surface.vertices.row(surface.triangles(patch[at], 0));
+      const Eigen::Vector3d b = surface.vertices.row(surface.triangles(patch[at], 1));
+      const Eigen::Vector3d c = surface.vertices.row(surface.triangles(patch[at], 2));
+      balance += (turned[t] ? -1 : 1) * (b - a).cross(c - a).norm();
+      for (const auto& [other, turn] : neighbours[t]) {
+        const auto o = static_cast<std::size_t>(other);
+        if (patches.labels[o] >= 0) continue;
+        patches.labels[o] = patches.count;
+        turned[o] = static_cast<char>(turned[t] != static_cast<char>(turn));
+        patch.push_back(other);
+      }
+    }
+    for (const Index t : patch) {
+      if (static_cast<bool>(turned[static_cast<std::size_t>(t)]) == (balance >= 0)) {
+        std::swap(surface.triangles(t, 1), surface.triangles(t, 2));
+      }
+    }
+    ++patches.count;
+  }
+  return patches;
+}
+
+// Turns patches so that what they enclose is positive.
+void turn_outside(PreparedSurface& surface, const Patches& patches) {
+  const auto count = static_cast<std::size_t>(patches.count);
+  const std::vector<DirectedEdge> edges = sorted_edges(surface.triangles);
+  std::vector<Eigen::Vector3d> rim(count, Eigen::Vector3d::Zero());
+  std::vector<Index> rim_edges(count, 0);
+  for_each_edge(edges, [&](std::size_t first, std::size_t last) {
+    for (std::size_t k = first; k < last; ++k) {
+      const auto patch = patches.labels[static_cast<std::size_t>(edges[k].triangle)];
+      Index own = 0;
+      for (std::size_t m = first; m < last; ++m) own += patches.labels[static_cast<std::size_t>(edges[m].triangle)] == patch;
+      if (own % 2 == 0) continue;
+      rim[static_cast<std::size_t>(patch)] +=
+          0.5 * (surface.vertices.row(edges[k].low) + surface.vertices.row(edges[k].high)).transpose();
+      ++rim_edges[static_cast<std::size_t>(patch)];
+    }
+  });
+  std::vector<double> volumes(count, 0), areas(count, 0);
+  std::vector<char> seen(count, 0);
+  for (Eigen::Index t = 0; t < surface.triangles.rows(); ++t) {
+    const auto patch = static_cast<std::size_t>(patches.labels[static_cast<std::size_t>(t)]);
+    const Eigen::Vector3d a = surface.vertices.row(surface.triangles(t, 0));
+    const Eigen::Vector3d b = surface.vertices.row(surface.triangles(t, 1));
+    const Eigen::Vector3d c = surface.vertices.row(surface.triangles(t, 2));
+    if (!seen[patch]) {
+      seen[patch] = 1;
+      rim[patch] = rim_edges[patch] ? Eigen::Vector3d(rim[patch] / rim_edges[patch]) : a;
+    }
+    const Eigen::Vector3d normal = (b - a).cross(c - a);
+    volumes[patch] += normal.dot(a - rim[patch]) / 6;
+    areas[patch] += normal.norm() / 2;
+  }
+  for (Eigen::Index t = 0; t < surface.triangles.rows(); ++t) {
+    const auto patch = static_cast<std::size_t>(patches.labels[static_cast<std::size_t>(t)]);
+    // 1 for a sphere, 0 for anything flat.
+    const double roundness = 36 * std::numbers::pi * volumes[patch] * volumes[patch];
+    const double enough = rim_edges[patch] ? 0.02 : 1e-14;
+    if (volumes[patch] < 0 && roundness > enough * areas[patch] * areas[patch] * areas[patch]) {
+      std::swap(surface.triangles(t, 1), surface.triangles(t, 2));
+    }
+  }
+}
+
+}  // namespace
+
+PreparedSurface prepare_surface(ConstPositions vertices, ConstTriangles triangles) {
+  if (vertices.rows() == 0) throw InvalidInput("vertices", "is empty, expected a surface");
+  if (triangles.rows() == 0) throw InvalidInput("triangles", "is empty, expected a surface of at least one triangle");
+  require_finite("vertices", vertices);
+  require_indices("triangles", triangles, vertices.rows());
+
+  Box bounds;
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
+    for (int k = 0; k < 3; ++k) bounds.extend(Eigen::Vector3d(vertices.row(triangles(t, k))));
+  }
+  const double longest = bounds.sizes().maxCoeff();
+  // Below the last digits of the coordinates a surface has no size either.
+  const double magnitude = std::max(bounds.min().cwiseAbs().maxCoeff(), bounds.max().cwiseAbs().maxCoeff());
+  if (!(longest > 1e-12 * magnitude) || !std::isfinite(longest) || longest < 1e-150) {
+    throw InvalidInput("vertices", "all triangles lie in one point, expected a surface with some extent");
+  }
+
+  PreparedSurface surface;
+  Index distinct = 0;
+  const std::vector<Index> labels = weld(vertices, bounds.min(), kWeldDistance * longest, distinct);
+  surface.welded = Eigen::Map<const Indices>(labels.data(), static_cast<Eigen::Index>(labels.size()));
+  surface.vertices.resize(distinct, 3);
+  for (Eigen::Index v = vertices.rows(); v-- > 0;) surface.vertices.row(labels[static_cast<std::size_t>(v)]) = vertices.row(v);
+
+  // Each face once, whichever corner it starts with and way it is turned; the first one counts.
+  struct Face {
+    std::array<Index, 3> corners;
+    Index source;
+  };
+  std::vector<Face> faces;
+  faces.reserve(static_cast<std::size_t>(triangles.rows()));
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
+    std::array<Index, 3> corners{};
+    for (std::size_t k = 0; k < 3; ++k) corners[k] = labels[static_cast<std::size_t>(triangles(t, static_cast<Eigen::Index>(k)))];
+    std::sort(corners.begin(), corners.end());
+    if (corners[0] != corners[1] && corners[1] != corners[2]) faces.push_back({corners, static_cast<Index>(t)});
+  }
+  if (faces.empty()) throw InvalidInput("triangles", "every one is degenerate, expected at least one with three distinct corners");
+  std::sort(faces.begin(), faces.end(),
+            [](const Face& a, const Face& b) { return std::tie(a.corners, a.source) < std::tie(b.corners, b.source); });
+  faces.erase(std::unique(faces.begin(), faces.end(), [](const Face& a, const Face& b) { return a.corners == b.corners; }),
+              faces.end());
+  std::sort(faces.begin(), faces.end(), [](const Face& a, const Face& b) { return a.source < b.source; });
+
+  const auto count = static_cast<Eigen::Index>(faces.size());
+  surface.triangles.resize(count, 3);
+  surface.sources.resize(count);
+  DisjointSets pieces(static_cast<std::size_t>(distinct));
+  for (Eigen::Index t = 0; t < count; ++t) {
+    surface.sources[t] = faces[static_cast<std::size_t>(t)].source;
+    for (int k = 0; k < 3; ++k) {
+      surface.triangles(t, k) = labels[static_cast<std::size_t>(triangles(surface.sources[t], k))];
+      pieces.join(surface.triangles(t, 0), surface.triangles(t, k));
+    }
+  }
+  const Patches patches = make_consistent(surface, sorted_edges(surface.triangles));
+  turn_outside(surface, patches);
+
+  surface.closed = true;
+  const std::vector<DirectedEdge> edges = sorted_edges(surface.triangles);
+  for_each_edge(edges, [&](std::size_t first, std::size_t last) {
+    int balance = 0;
+    for (std::size_t k = first; k < last; ++k) balance += edges[k].direction;
+    if (balance != 0) surface.closed = false;
+  });
+
+  // Number the pieces in the order of their first triangles; vertices without a triangle are no piece.
+  surface.components.resize(count);
+  std::vector<Index> number(static_cast<std::size_t>(distinct), -1);
+  for (Eigen::Index t = 0; t < count; ++t) {
+    Index& own = number[static_cast<std::size_t>(pieces.find(surface.triangles(t, 0)))];
+    if (own < 0) own = surface.component_count++;
+    surface.components[t] = own;
+  }
+  return surface;
+}
+
+}  // namespace followthrough

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// Any triangle soup made fit for asking what is inside it: welded, each face once, faces that lie side by side turned the same way,
+// and parts that were inside out turned outside.
+#pragma once
+
+#include "followthrough/types.hpp"
+
+namespace followthrough {
+
+struct PreparedSurface {
+  Positions vertices;   ///< (u,3) distinct positions
+  Indices welded;       ///< (v,) row in `vertices` of every vertex of the input
+  Triangles triangles;  ///< (k,3) rows in `vertices`: no face twice, none with a repeated corner
+  Indices sources;      ///< (k,) the input's triangle that each one was
+  Indices components;   ///< (k,) pieces of the mesh that share no vertex, counted from 0
+  Index component_count = 0;
+  bool closed = false;  ///< every edge is passed as often one way as the other, so winding numbers are whole numbers
+};
+
+/// @brief Cleans a surface.
+///
+/// Vertices closer than 1e-6 of the longest side are welded. Of faces with the same corners the first counts. Across edges of
+/// exactly two faces, orientation is carried on, by majority of area where that turns some faces round. A patch that is closed, or
+/// bent enough to enclose something, is turned so that its volume is positive; a flat one stays as it was. So every closed part is
+/// solid, whichever way it was turned, also inside another one: closed hollows count as filled, as they do when one fills from
+/// outside.
+///
+/// @throws InvalidInput naming `vertices` or `triangles`: empty, not finite, index out of range, no extent
+PreparedSurface prepare_surface(ConstPositions vertices, ConstTriangles triangles);
+
+}  // namespace followthrough

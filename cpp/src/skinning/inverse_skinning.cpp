@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "followthrough/skinning/inverse_skinning.hpp"
+
+#include <cmath>
+#include <limits>
+#include <string>
+
+#include <Eigen/LU>
+#include <Eigen/SVD>
+
+#include "followthrough/errors.hpp"
+#include "skinning/bone_blend.hpp"
+
+namespace followthrough {
+namespace {
+
+using Eigen::Matrix3d;
+using Eigen::Vector3d;
+
+void require_minimum_stretch(double minimum_stretch) {
+  if (!(std::isfinite(minimum_stretch) && minimum_stretch > 0.0)) {
+    throw InvalidInput("minimum_stretch", "found " + std::to_string(minimum_stretch) + ", expected a finite number above 0");
+  }
+}
+
+Vector3d clamped_solve(const Matrix3d& jacobian, const Vector3d& displacement, double minimum_stretch) {
+  // The smallest singular value is at least 2 |det| / |J|^2 (the other two's product is at most half their sum of squares), so
+  // this is proof, with some room for rounding, that nothing has to be clamped.
+  const double determinant = jacobian.determinant();
+  if (2.0 * std::abs(determinant) > 1.0001 * minimum_stretch * jacobian.squaredNorm()) {
+    const Vector3d x = jacobian.col(0), y = jacobian.col(1), z = jacobian.col(2);
+    return Vector3d(y.cross(z).dot(displacement), z.cross(x).dot(displacement), x.cross(y).dot(displacement)) / determinant;
+  }
+  const Eigen::JacobiSVD<Matrix3d> svd(jacobian, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  if (svd.info() != Eigen::Success) return Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
+  const Vector3d along = svd.matrixU().transpose() * displacement;
+  return svd.matrixV() * along.cwiseQuotient(svd.singularValues().cwiseMax(minimum_stretch));
+}
+
+/// Writes one vertex; false where the result is not finite.
+bool solve_vertex(const Matrix3d& jacobian, Eigen::Index vertex, ConstPositions displacements, double minimum_stretch,
+                  InverseSkinning& result) {
+  const Vector3d displacement = displacements.row(vertex);
+  if (!displacement.allFinite() || !jacobian.allFinite()) return false;
+  const Vector3d offset = clamped_solve(jacobian, displacement, minimum_stretch);
+  result.offsets.row(vertex) = offset;
+  result.residuals.row(vertex) = displacement - jacobian * offset;
+  return result.residuals.row(vertex).allFinite();
+}
+
+InverseSkinning make_result(Eigen::Index vertices) { return {Positions(vertices, 3), Positions(vertices, 3)}; }
+
+}  // namespace
+
+InverseSkinning invert_displacements(ConstMatrices3 jacobians, ConstPositions displacements, double minimum_stretch) {
+  require_minimum_stretch(minimum_stretch);
+  require_rows("jacobians", jacobians.rows(), displacements.rows());
+  InverseSkinning result = make_result(displacements.rows());
+  int unusable = 0;
+#pragma omp parallel for schedule(static) reduction(| : unusable)
+  for (Eigen::Index vertex = 0; vertex < displacements.rows(); ++vertex) {
+    const Matrix3d jacobian = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(jacobians.row(vertex).data());
+    unusable |= !solve_vertex(jacobian, vertex, displacements, minimum_stretch, result);
+  }
+  if (unusable) {
+    require_finite("jacobians", jacobians);
+    require_finite("displacements", displacements);
+    throw InvalidInput("displacements", "the numbers are so large that offsets overflow");
+  }
+  return result;
+}
+
+InverseSkinning inverse_skin(const BoneWeights& weights, const PosedBones& bones, ConstPositions displacements, Skinning skinning,
+                             double minimum_stretch) {
+  require_minimum_stretch(minimum_stretch);
+  const BoneBlend blend(weights, bones, skinning);
+  require_rows("displacements", displacements.rows(), blend.vertex_count());
+  InverseSkinning result = make_result(displacements.rows());
+  int unusable = 0;
+#pragma omp parallel for schedule(static) reduction(| : unusable)
+  for (Eigen::Index vertex = 0; vertex < displacements.rows(); ++vertex) {
+    bool valid = true;
+    const VertexTransform transform = blend.vertex_transform(vertex, valid);
+    unusable |= !valid || !solve_vertex(transform.linear, vertex, displacements, minimum_stretch, result);
+  }
+  if (unusable) {
+    blend.require_weights();
+    require_finite("displacements", displacements);
+    throw InvalidInput("displacements", "the numbers are so large that offsets overflow");
+  }
+  return result;
+}
+
+}  // namespace followthrough
