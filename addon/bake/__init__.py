@@ -3,7 +3,7 @@
 
 from .clear import FOLLOWTHROUGH_OT_clear
 from .operator import FOLLOWTHROUGH_OT_bake
-from .running import running, stop
+from .session import running, stop
 
 classes: tuple[type, ...] = (FOLLOWTHROUGH_OT_bake, FOLLOWTHROUGH_OT_clear)
 

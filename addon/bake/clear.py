@@ -7,7 +7,7 @@ from bpy.types import Operator
 from followthrough.blender import baked_range, clear
 
 from ..characters import selected_characters
-from .running import running
+from .session import running
 
 
 class FOLLOWTHROUGH_OT_clear(Operator):

@@ -8,7 +8,7 @@ from followthrough.blender import BakeReport, why_not_bakeable
 
 from ..characters import selected_characters
 from ..properties.bake_settings import frame_range, object_settings
-from .running import RunningBake, running
+from .session import BakeSession, running
 
 #: Seconds that are baked at a time before the window may be drawn again.
 TIME_SLICE = 0.1
@@ -30,7 +30,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
     )
     bl_options = {"REGISTER", "UNDO"}
 
-    _bake: RunningBake | None = None
+    _bake: BakeSession | None = None
     _timer: bpy.types.Timer | None = None
 
     @classmethod
@@ -96,14 +96,14 @@ class FOLLOWTHROUGH_OT_bake(Operator):
             self._bake.cancel()
         self._leave(context)
 
-    def _begin(self, context: bpy.types.Context) -> RunningBake:
+    def _begin(self, context: bpy.types.Context) -> BakeSession:
         characters = selected_characters(context)
         if not characters:
             raise ValueError("Add Followthrough to a mesh first")
         settings = {obj.name: object_settings(obj) for obj in characters}
-        return RunningBake(context.scene, settings, frame_range(characters[0]))
+        return BakeSession(context.scene, settings, frame_range(characters[0]))
 
-    def _tick(self, context: bpy.types.Context, bake: RunningBake) -> set[str]:
+    def _tick(self, context: bpy.types.Context, bake: BakeSession) -> set[str]:
         try:
             if not bake.is_simulated:
                 bake.advance(TIME_SLICE)

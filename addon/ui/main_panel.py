@@ -10,7 +10,7 @@ from followthrough.blender import baked_range, why_not_bakeable
 
 from ..bake.clear import FOLLOWTHROUGH_OT_clear
 from ..bake.operator import FOLLOWTHROUGH_OT_bake
-from ..bake.running import RunningBake, running
+from ..bake.session import BakeSession, running
 from ..characters import active_mesh, meshes_of_armature, selected_characters
 from ..painting.add import FOLLOWTHROUGH_OT_add
 from ..painting.paint import FOLLOWTHROUGH_OT_select_character
@@ -61,7 +61,7 @@ def draw_choice_of_mesh(layout: bpy.types.UILayout, context: bpy.types.Context) 
         column.operator(FOLLOWTHROUGH_OT_select_character.bl_idname, text=mesh.name, icon="MESH_DATA").name = mesh.name
 
 
-def draw_progress(layout: bpy.types.UILayout, bake: RunningBake) -> None:
+def draw_progress(layout: bpy.types.UILayout, bake: BakeSession) -> None:
     """The Bake button as the status line, and how to stop."""
     column = layout.column(align=True)
     row = column.row()

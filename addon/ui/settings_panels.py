@@ -4,7 +4,7 @@
 import bpy
 from bpy.types import Panel
 
-from ..bake.running import running
+from ..bake.session import running
 from ..characters import active_character
 from ..painting.paint import (
     MEANINGS,

@@ -47,7 +47,7 @@ def running_bake(addon: ModuleType, obj: bpy.types.Object) -> Any:
     """A bake as the operator begins it in a window."""
     settings = addon.properties.bake_settings
     objects = {obj.name: settings.object_settings(obj)}
-    return addon.bake.running.RunningBake(bpy.context.scene, objects, settings.frame_range(obj))
+    return addon.bake.session.BakeSession(bpy.context.scene, objects, settings.frame_range(obj))
 
 
 def test_bake_writes_a_key_a_frame(painted: bpy.types.Object) -> None:
@@ -147,7 +147,7 @@ def test_cancel_restores(addon: ModuleType, painted: bpy.types.Object, slices: i
     assert bake.done == slices
     bake.cancel()
     assert contents() == before
-    assert addon.bake.running.running() is None
+    assert addon.bake.session.running() is None
 
 
 def test_cancel_puts_edit_mode_back(addon: ModuleType, painted: bpy.types.Object) -> None:
@@ -165,7 +165,7 @@ def test_disabling_the_add_on_cancels(addon: ModuleType, painted: bpy.types.Obje
     addon.unregister()
     addon.register()
     assert contents() == before
-    assert addon.bake.running.running() is None
+    assert addon.bake.session.running() is None
 
 
 def test_only_one_bake_at_a_time(addon: ModuleType, painted: bpy.types.Object) -> None:
@@ -205,7 +205,7 @@ def test_an_error_halfway_is_reported_and_restores(
     addon: ModuleType, painted: bpy.types.Object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = contents()
-    frames = addon.bake.running.Bake.run
+    frames = addon.bake.session.Bake.run
 
     def breaks(self: Any) -> Any:
         for progress in frames(self):
@@ -213,11 +213,11 @@ def test_an_error_halfway_is_reported_and_restores(
             if progress.done == 3:
                 raise ValueError("Column: frame 3 is not finite")
 
-    monkeypatch.setattr(addon.bake.running.Bake, "run", breaks)
+    monkeypatch.setattr(addon.bake.session.Bake, "run", breaks)
     with pytest.raises(RuntimeError, match="frame 3 is not finite"):
         bpy.ops.followthrough.bake()
     assert contents() == before
-    assert addon.bake.running.running() is None
+    assert addon.bake.session.running() is None
 
 
 def test_a_shared_mesh_is_refused(painted: bpy.types.Object) -> None:

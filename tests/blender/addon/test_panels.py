@@ -115,7 +115,7 @@ def test_every_choice_of_frames(addon: ModuleType, painted: bpy.types.Object) ->
 
 def test_the_bake_button_is_the_status_line(addon: ModuleType, painted: bpy.types.Object) -> None:
     settings = addon.properties.bake_settings
-    bake = addon.bake.running.RunningBake(bpy.context.scene, {"Column": settings.object_settings(painted)})
+    bake = addon.bake.session.BakeSession(bpy.context.scene, {"Column": settings.object_settings(painted)})
     bake.advance(0.0)
     assert any(text.startswith("Baking frame 2 of ") for text in draw(addon)["Followthrough"])
     bake.cancel()

@@ -8,10 +8,10 @@ import bpy
 
 from followthrough.blender import Bake, BakeReport, FrameRange, ObjectSettings
 
-_running: "RunningBake | None" = None
+_running: "BakeSession | None" = None
 
 
-def running() -> "RunningBake | None":
+def running() -> "BakeSession | None":
     """The bake under way."""
     return _running
 
@@ -22,7 +22,7 @@ def stop() -> None:
         _running.cancel()
 
 
-class RunningBake:
+class BakeSession:
     """A bake that can be advanced a little at a time.
 
     Parameters
