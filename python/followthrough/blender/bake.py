@@ -3,12 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
-from followthrough.blender.groups import PaintGroups
+from followthrough.blender import modes, shape_keys
+from followthrough.blender.groups import PaintGroups, read_paint
+from followthrough.blender.rig_reading import PoseReader, make_reader, read_surface
+from followthrough.blender.scene import NotBakeableError, require_bakeable
+from followthrough.character import BonePose, Pose
+from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings
 
 
@@ -32,7 +41,7 @@ class FrameRange:
         Frames that are simulated before the first one and not keyed.
     cycles
         Where more than 0, the range is a loop: it is simulated so many times before it is baked, so that its end leads
-        into its start.
+        into its start. Where the last frame repeats the pose of the first one, they count as one.
     """
 
     start: int | None = None
@@ -40,10 +49,15 @@ class FrameRange:
     preroll: int = 0
     cycles: int = 0
 
+    def __post_init__(self) -> None:
+        for name in ("preroll", "cycles"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name}: found {getattr(self, name)}, expected 0 or more")
+
 
 @dataclass(frozen=True)
 class Progress:
-    """After one step: `done` of `total` frames are simulated, the scene stands on `frame`."""
+    """After one step: `done` of `total` frames are simulated, the last of them `frame`."""
 
     done: int
     total: int
@@ -61,6 +75,8 @@ class ObjectReport:
         Of all vertices and frames, metres in the world.
     largest_residual : float
         Largest part of a displacement that no shape key can show because the rig flattens the skin there, metres.
+    seconds : float
+        Spent on this object's simulation.
     sampled : bool
         True where something other than a plain Armature modifier moves the mesh, and it was sampled by probes.
     """
@@ -71,12 +87,13 @@ class ObjectReport:
     tets: int
     largest_displacement: float
     largest_residual: float
+    seconds: float
     sampled: bool
 
 
 @dataclass(frozen=True)
 class BakeReport:
-    """What was baked, and how long it took."""
+    """What was baked, and how long it took, from the making of the volumes to the last key."""
 
     objects: tuple[ObjectReport, ...]
     start: int
@@ -84,11 +101,25 @@ class BakeReport:
     seconds: float
 
 
+@dataclass
+class _Character:
+    """One object while it is baked."""
+
+    name: str
+    motion: SecondaryMotion
+    reader: PoseReader
+    offsets: NDArray[np.float32]
+    largest_displacement: float = 0.0
+    largest_residual: float = 0.0
+    seconds: float = 0.0
+
+
 class Bake:
     """Secondary motion of some mesh objects over a range of frames.
 
-    Making one checks everything and builds the volumes; nothing in the file changes before `finish`, except that the
-    scene's current frame moves (and objects in Edit Mode leave it) until `finish` or `cancel`, which put it back.
+    Making one checks everything and builds the volumes. Nothing in the file changes before `finish`, except that until
+    `finish` or `cancel`, which put it back, the scene's current frame moves, an earlier bake of the objects is muted,
+    and objects in Edit or Sculpt Mode leave it.
 
     Parameters
     ----------
@@ -110,15 +141,39 @@ class Bake:
     def __init__(
         self, scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange | None = None
     ) -> None:
-        raise NotImplementedError
+        frames = frames or FrameRange()
+        self._began = time.perf_counter()
+        self._scene = scene.name
+        self.start = scene.frame_start if frames.start is None else frames.start
+        self.end = scene.frame_end if frames.end is None else frames.end
+        if self.end < self.start:
+            raise ValueError(f"frames: found start {self.start} and end {self.end}, expected at least one frame")
+        if not objects:
+            raise NotBakeableError("there is no object to bake: choose a mesh that an armature moves")
+        view_layer = self._view_layer()
+        for name in objects:
+            _require_visible(name, scene, view_layer)
+            require_bakeable(bpy.data.objects[name])
+        self._dt = scene.render.fps_base / scene.render.fps
+        self._frame = (scene.frame_current, scene.frame_subframe)
+        self._restore: list[Callable[[], None]] = []
+        self._modes: dict[str, str] = {}
+        self._complete = self._closed = False
+        try:
+            self._prepare(scene, objects, frames)
+        except BaseException:
+            self.cancel()
+            raise
 
     @property
     def total(self) -> int:
         """Number of frames to simulate, pre-roll and cycles included."""
-        raise NotImplementedError
+        return len(self._schedule)
 
     def run(self) -> Iterator[Progress]:
-        """Simulate, one frame a step.
+        """Simulate, one frame a step. Leaving the loop early cancels.
+
+        While a frame is simulated in a thread of its own, Blender already evaluates the next one in this thread.
 
         Raises
         ------
@@ -126,7 +181,14 @@ class Bake:
             Where a result is not finite, naming object and frame, or an object has disappeared; the bake is then
             cancelled.
         """
-        raise NotImplementedError
+        if self._closed or self._complete:
+            raise RuntimeError("run: this bake has already been run")
+        try:
+            with ThreadPoolExecutor(max_workers=1, thread_name_prefix="followthrough") as worker:
+                yield from self._steps(worker)
+        finally:
+            if not self._complete:
+                self.cancel()
 
     def finish(self) -> BakeReport:
         """Write the shape keys of all objects and put the scene's frame back.
@@ -136,8 +198,191 @@ class Bake:
         RuntimeError
             Where `run` has not come to its end.
         """
-        raise NotImplementedError
+        if not self._complete or self._closed:
+            raise RuntimeError("finish: this bake has not been run to its end")
+        for character in self._characters:
+            obj = bpy.data.objects.get(character.name)
+            if obj is None or len(obj.data.vertices) != character.offsets.shape[1]:
+                self.cancel()
+                raise NotBakeableError(f"Object '{character.name}' has been removed or changed: bake again")
+        self._put_back()
+        for character in self._characters:
+            shape_keys.write(bpy.data.objects[character.name], range(self.start, self.end + 1), character.offsets)
+        modes.enter_modes(self._modes)
+        self._back_to_frame()
+        self._closed = True
+        return BakeReport(
+            objects=tuple(self._report(character) for character in self._characters),
+            start=self.start,
+            end=self.end,
+            seconds=time.perf_counter() - self._began,
+        )
 
     def cancel(self) -> None:
         """Put everything back as it was before; safe at any time and more than once."""
-        raise NotImplementedError
+        if self._closed:
+            return
+        self._closed = True
+        self._put_back()
+        modes.enter_modes(self._modes)
+        self._back_to_frame()
+
+    def _prepare(self, scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange) -> None:
+        self._modes = modes.leave_modes(objects)
+        deformations = {name: require_bakeable(bpy.data.objects[name]) for name in objects}
+        for name, deformation in deformations.items():
+            obj = bpy.data.objects[name]
+            self._mute_our_keys(obj)
+            if deformation.armature is None:
+                self._switch_off(obj, deformation.behind)
+        scene.frame_set(self.start)
+        self._characters = []
+        for name, settings in objects.items():
+            obj = bpy.data.objects[name]
+            surface = read_surface(obj)
+            motion = SecondaryMotion(surface, read_paint(obj, surface, settings.groups), settings.motion, self._dt)
+            offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
+            self._characters.append(_Character(name, motion, make_reader(obj, deformations[name], surface), offsets))
+        self._schedule = self._make_schedule(frames)
+
+    def _make_schedule(self, frames: FrameRange) -> list[tuple[int, bool]]:
+        """Frames to simulate, and whether they are keyed; the frame that follows the last one of a loop is `_after`."""
+        self._after: int | None = None
+        schedule = [(frame, False) for frame in range(self.start - frames.preroll, self.start)]
+        if frames.cycles:
+            first, last = self._read(self.start), self._read(self.end)
+            closed = self.end > self.start and all(map(_same_pose, first, last))
+            loop = range(self.start, self.end if closed else self.end + 1)
+            schedule += [(frame, False) for _ in range(frames.cycles) for frame in loop]
+            self._after = self.start + int(closed)
+        return schedule + [(frame, True) for frame in range(self.start, self.end + 1)]
+
+    def _steps(self, worker: ThreadPoolExecutor) -> Iterator[Progress]:
+        following = [frame for frame, _ in self._schedule[1:]] + [self._after]
+        poses: list[Pose] = self._read(self._schedule[0][0])
+        running: Future[None] | None = None
+        for done, ((frame, keyed), next_frame) in enumerate(zip(self._schedule, following, strict=True)):
+            next_poses = None if next_frame is None else self._read(next_frame)
+            if running is not None:
+                running.result()
+            running = worker.submit(self._simulate, frame, keyed, done == 0, poses, next_poses)
+            if next_poses is not None:
+                poses = next_poses
+            if done + 1 == self.total:
+                running.result()
+                self._complete = True
+            yield Progress(done=done + 1, total=self.total, frame=frame)
+
+    def _simulate(self, frame: int, keyed: bool, first: bool, poses: list[Pose], following: list[Pose] | None) -> None:
+        """Take all objects to a frame. Runs in a worker thread: nothing of Blender's here."""
+        for index, character in enumerate(self._characters):
+            began = time.perf_counter()
+            try:
+                if first:
+                    result = character.motion.reset(poses[index])
+                else:
+                    result = character.motion.step(poses[index], None if following is None else following[index])
+            except ValueError as problem:
+                raise ValueError(f"Object '{character.name}', frame {frame}: {problem}") from problem
+            if not (np.isfinite(result.offsets).all() and np.isfinite(result.displacements).all()):
+                raise ValueError(f"Object '{character.name}', frame {frame}: the motion is no longer finite")
+            if keyed:
+                character.offsets[frame - self.start] = result.offsets
+                largest = float(np.linalg.norm(result.displacements, axis=1).max(initial=0.0))
+                character.largest_displacement = max(character.largest_displacement, largest)
+                character.largest_residual = max(character.largest_residual, result.residual)
+            character.seconds += time.perf_counter() - began
+
+    def _read(self, frame: int) -> list[Pose]:
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is None:
+            raise NotBakeableError(f"Scene '{self._scene}' is no longer there")
+        scene.frame_set(frame)
+        view_layer = self._view_layer()
+        poses = [character.reader.read(view_layer) for character in self._characters]
+        for character, pose in zip(self._characters, poses, strict=True):
+            if not _is_finite(pose):
+                raise ValueError(f"Object '{character.name}', frame {frame}: the pose is not finite (NaN or infinity)")
+        return poses
+
+    def _view_layer(self) -> bpy.types.ViewLayer:
+        scene = bpy.data.scenes[self._scene]
+        view_layer = bpy.context.view_layer if bpy.context.scene == scene else scene.view_layers[0]
+        if view_layer.depsgraph is None:
+            view_layer.update()
+        return view_layer
+
+    def _mute_our_keys(self, obj: bpy.types.Object) -> None:
+        key = obj.data.shape_keys
+        names = [name for name in shape_keys.our_names(key) if not key.key_blocks[name].mute]
+        if not names:
+            return
+
+        def set_mute(mute: bool, name: str = obj.name) -> None:
+            found = bpy.data.objects.get(name)
+            blocks = found.data.shape_keys.key_blocks if found is not None and found.data.shape_keys is not None else {}
+            for block in names:
+                if block in blocks:
+                    blocks[block].mute = mute
+
+        self._restore.append(lambda: set_mute(False))
+        set_mute(True)
+
+    def _switch_off(self, obj: bpy.types.Object, modifiers: tuple[str, ...]) -> None:
+        """Hide modifiers behind the deformation, which would change the number of vertices."""
+
+        def show(visible: bool, name: str = obj.name) -> None:
+            found = bpy.data.objects.get(name)
+            for modifier in modifiers:
+                if found is not None and modifier in found.modifiers:
+                    found.modifiers[modifier].show_viewport = visible
+
+        self._restore.append(lambda: show(True))
+        show(False)
+
+    def _put_back(self) -> None:
+        while self._restore:
+            self._restore.pop()()
+
+    def _back_to_frame(self) -> None:
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is not None:
+            scene.frame_set(self._frame[0], subframe=self._frame[1])
+
+    def _report(self, character: _Character) -> ObjectReport:
+        volume = character.motion.volume
+        return ObjectReport(
+            name=character.name,
+            frames=len(character.offsets),
+            vertices=character.offsets.shape[1],
+            tets=len(volume.tet_mesh.tets),
+            largest_displacement=character.largest_displacement,
+            largest_residual=character.largest_residual,
+            seconds=character.seconds,
+            sampled=volume.surface.rig is None,
+        )
+
+
+def _require_visible(name: str, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
+    obj = scene.objects.get(name)
+    if obj is None:
+        raise NotBakeableError(f"Object '{name}' is not in scene '{scene.name}'")
+    if not obj.visible_get(view_layer=view_layer):
+        raise NotBakeableError(f"Object '{name}' is hidden, and Blender does not pose it: show it (and its collection)")
+
+
+def _is_finite(pose: Pose) -> bool:
+    arrays = (pose.bone_matrices,) if isinstance(pose, BonePose) else (pose.positions, pose.jacobians)
+    return all(bool(np.isfinite(array).all()) for array in (*arrays, pose.world))
+
+
+def _same_pose(first: Pose, last: Pose) -> bool:
+    """Whether two poses put a character in the same place, up to what importers and curves round."""
+    if isinstance(first, BonePose) and isinstance(last, BonePose):
+        pairs = [(first.bone_matrices, last.bone_matrices)]
+    elif not isinstance(first, BonePose) and not isinstance(last, BonePose):
+        pairs = [(first.positions, last.positions)]
+    else:
+        return False
+    pairs.append((first.world, last.world))
+    return all(np.allclose(a, b, rtol=1e-3, atol=1e-3 * max(1e-6, float(np.abs(a).max()))) for a, b in pairs)

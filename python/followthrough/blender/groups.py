@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import bpy
+import numpy as np
 
-from followthrough.character import FloatArray, Paint, Surface
+from followthrough.blender.modes import object_mode
+from followthrough.blender.rig_reading import read_surface, with_skeleton
+from followthrough.character import FloatArray, Paint, Surface, suggest_paint
 
 STIFFNESS_GROUP = "Followthrough Stiffness"
 MASS_GROUP = "Followthrough Mass"
@@ -20,6 +24,10 @@ class PinGroup:
 
     name: str
     strength: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.strength <= 1.0:
+            raise ValueError(f"pin group {self.name!r}: found strength {self.strength:g}, expected 0 to 1")
 
 
 @dataclass(frozen=True)
@@ -42,24 +50,102 @@ class PaintGroups:
 def add_groups(obj: bpy.types.Object, surface: Surface | None = None) -> list[str]:
     """Create those of the three usual groups that the mesh does not have yet, filled with suggested values.
 
+    Parameters
+    ----------
+    obj
+        A mesh object that can be baked.
+    surface
+        What `read_surface` gave for it, where the caller has that already.
+
     Returns
     -------
     Names of the groups that were created; groups that were there are not touched.
     """
-    raise NotImplementedError
+    missing = [name for name in (STIFFNESS_GROUP, MASS_GROUP, PINS_GROUP) if name not in obj.vertex_groups]
+    if not missing:
+        return []
+    paint = suggested_paint(obj, surface or read_surface(obj))
+    values = {STIFFNESS_GROUP: paint.stiffness, MASS_GROUP: paint.mass, PINS_GROUP: paint.pins}
+    for name in missing:
+        write_group(obj, name, values[name])
+    return missing
+
+
+def suggested_paint(obj: bpy.types.Object, surface: Surface) -> Paint:
+    """`suggest_paint` with the bones of the mesh's armature, also where something else helps to move it."""
+    return suggest_paint(with_skeleton(obj, surface))
 
 
 def read_paint(obj: bpy.types.Object, surface: Surface, groups: PaintGroups | None = None) -> Paint:
     """Read what is painted.
+
+    Parameters
+    ----------
+    obj
+        The mesh object.
+    surface
+        What `read_surface` gave for it.
+    groups
+        Which groups; the usual ones where it is None.
 
     Raises
     ------
     ValueError
         Where a group that is named does not exist.
     """
-    raise NotImplementedError
+    groups = groups or PaintGroups()
+    stiffness = groups.stiffness or _if_there(obj, STIFFNESS_GROUP)
+    mass = groups.mass or _if_there(obj, MASS_GROUP)
+    pins = groups.pins
+    if pins is None and _if_there(obj, PINS_GROUP):
+        pins = (PinGroup(PINS_GROUP),)
+    names = [*filter(None, (stiffness, mass)), *(group.name for group in pins or ())]
+    weights = _read_groups(obj, names, len(surface.rest_positions))
+    paint = suggested_paint(obj, surface)
+    if stiffness is not None:
+        paint = replace(paint, stiffness=weights[stiffness])
+    if mass is not None:
+        paint = replace(paint, mass=weights[mass])
+    if pins is not None:
+        strengths = [weights[group.name] * group.strength for group in pins]
+        paint = replace(paint, pins=np.max([np.zeros(len(surface.rest_positions)), *strengths], axis=0))
+    return paint
 
 
 def write_group(obj: bpy.types.Object, name: str, values: FloatArray) -> None:
     """Set every vertex's weight (v,), 0 to 1, in the group of that name, which is created where it is missing."""
-    raise NotImplementedError
+    count = len(obj.data.vertices)
+    if values.shape != (count,):
+        raise ValueError(f"values: found shape {values.shape}, expected ({count},), one value a vertex")
+    with object_mode(obj.name):
+        active = obj.vertex_groups.active_index
+        group = obj.vertex_groups.get(name)
+        if group is None:
+            group = obj.vertex_groups.new(name=name)
+            obj.vertex_groups.active_index = max(active, 0)
+        # One call for all the vertices of one value: most are exactly 0, 1 or neutral.
+        order = np.argsort(values, kind="stable")
+        starts = np.flatnonzero(np.diff(values[order], prepend=np.nan))
+        for indices in np.split(order, starts[1:]):
+            group.add(indices.tolist(), float(values[indices[0]]), "REPLACE")
+
+
+def _if_there(obj: bpy.types.Object, name: str) -> str | None:
+    return name if name in obj.vertex_groups else None
+
+
+def _read_groups(obj: bpy.types.Object, names: Iterable[str], count: int) -> dict[str, FloatArray]:
+    """Weights (v,) of the named groups, 0 where a vertex is not in one."""
+    found = {}
+    for name in dict.fromkeys(names):
+        group = obj.vertex_groups.get(name)
+        if group is None:
+            there = ", ".join(repr(other.name) for other in obj.vertex_groups) or "none"
+            raise ValueError(f"Object '{obj.name}' has no vertex group {name!r} (it has {there})")
+        found[group.index] = np.zeros(count)
+    if found:
+        for vertex in obj.data.vertices:
+            for element in vertex.groups:
+                if element.group in found:
+                    found[element.group][vertex.index] = element.weight
+    return {obj.vertex_groups[index].name: values for index, values in found.items()}

@@ -1,11 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes and armatures as the plain arrays of `followthrough.character`."""
+"""Meshes and armatures as the plain arrays of `followthrough.character`: a surface once, a pose a frame."""
 
 from __future__ import annotations
 
-import bpy
+import dataclasses
+from typing import Protocol
 
-from followthrough.character import Surface
+import bpy
+import numpy as np
+
+from followthrough.blender import probes
+from followthrough.blender.modes import object_mode
+from followthrough.blender.scene import Deformation, NotBakeableError, require_bakeable, skeleton_of
+from followthrough.blender.shape_keys import read_points
+from followthrough.character import BonePose, FloatArray, IntArray, Pose, Rig, Surface
+
+
+class PoseReader(Protocol):
+    """Reads an object's pose in the scene's current frame."""
+
+    def read(self, view_layer: bpy.types.ViewLayer) -> Pose:
+        """Read it from the view layer's evaluated state."""
 
 
 def read_surface(obj: bpy.types.Object) -> Surface:
@@ -16,4 +31,143 @@ def read_surface(obj: bpy.types.Object) -> Surface:
     NotBakeableError
         Where the object cannot be baked.
     """
-    raise NotImplementedError
+    deformation = require_bakeable(obj)
+    with object_mode(obj.name):
+        positions = rest_positions(obj)
+        triangles = _triangles(obj.data)
+    name = f"Object '{obj.name}'"
+    if not len(triangles):
+        raise NotBakeableError(f"{name} has an empty mesh: there are no faces to bake")
+    if not np.isfinite(positions).all():
+        vertex = int(np.flatnonzero(~np.isfinite(positions).all(axis=1))[0])
+        raise NotBakeableError(
+            f"{name} has coordinates that are no numbers (NaN or infinity), first at vertex {vertex}"
+        )
+    surface = Surface(rest_positions=positions, triangles=triangles, object_scale=_stretch(obj))
+    return surface if deformation.armature is None else with_skeleton(obj, surface)
+
+
+def with_skeleton(obj: bpy.types.Object, surface: Surface) -> Surface:
+    """The same surface with the rig of the first armature that moves it, if there is one."""
+    armature = skeleton_of(obj)
+    if armature is None:
+        return surface
+    modifier = _armature_modifier(obj)
+    bones = weighted_bones(obj, armature)
+    indices, weights = _bone_weights(obj, bones)
+    if not weights.any():
+        raise NotBakeableError(
+            f"Object '{obj.name}' has no weights for the deforming bones of '{armature.name}': parent it with weights"
+        )
+    to_mesh = np.linalg.inv(_matrix(obj)) @ _matrix(armature)
+    ends = np.array([[bone.head_local, bone.tail_local] for bone in (armature.data.bones[name] for name in bones)])
+    rig = Rig(
+        bone_indices=indices,
+        bone_weights=weights,
+        bone_segments=ends @ to_mesh[:3, :3].T + to_mesh[:3, 3],
+        skinning="dual-quaternion" if modifier is not None and modifier.use_deform_preserve_volume else "linear",
+        bone_rest_matrices=np.array([armature.data.bones[name].matrix_local for name in bones], dtype=np.float64),
+    )
+    return dataclasses.replace(surface, rig=rig)
+
+
+def weighted_bones(obj: bpy.types.Object, armature: bpy.types.Object) -> list[str]:
+    """Deforming bones that some vertex hangs on, in the armature's order."""
+    used = {element.group for vertex in obj.data.vertices for element in vertex.groups if element.weight > 0.0}
+    groups = {group.name for group in obj.vertex_groups if group.index in used}
+    return [bone.name for bone in armature.data.bones if bone.use_deform and bone.name in groups]
+
+
+def rest_positions(obj: bpy.types.Object) -> FloatArray:
+    """Coordinates of the Basis, (v, 3) in object space."""
+    mesh = obj.data
+    if mesh.shape_keys is not None:
+        return read_points(mesh.shape_keys.reference_key).astype(np.float64)
+    positions = np.empty(len(mesh.vertices) * 3, dtype=np.float32)
+    mesh.vertices.foreach_get("co", positions)
+    return positions.reshape(-1, 3).astype(np.float64)
+
+
+def make_reader(obj: bpy.types.Object, deformation: Deformation, surface: Surface) -> PoseReader:
+    """Reader of this object's poses: bone matrices where a rig tells all, probes otherwise."""
+    if surface.rig is None:
+        return probes.ProbeReader(obj.name, len(surface.rest_positions), _size(surface))
+    assert deformation.skeleton is not None
+    return BoneReader(obj, bpy.data.objects[deformation.skeleton])
+
+
+class BoneReader:
+    """Reads the matrices of those bones that a mesh hangs on."""
+
+    def __init__(self, obj: bpy.types.Object, armature: bpy.types.Object) -> None:
+        self._object = obj.name
+        self._armature = armature.name
+        order = {bone.name: index for index, bone in enumerate(armature.pose.bones)}
+        self._bones = np.array([order[name] for name in weighted_bones(obj, armature)], dtype=np.intp)
+        self._count = len(order)
+
+    def read(self, view_layer: bpy.types.ViewLayer) -> BonePose:
+        """Read the pose from the view layer's evaluated state."""
+        mesh = probes.evaluated(self._object, view_layer)
+        armature = probes.evaluated(self._armature, view_layer)
+        if len(armature.pose.bones) != self._count:
+            raise NotBakeableError(f"Object '{self._armature}' has other bones than before: bake again")
+        # Blender stores matrices column by column.
+        channels = np.empty(self._count * 16, dtype=np.float32)
+        armature.pose.bones.foreach_get("matrix_channel", channels)
+        channels = channels.reshape(-1, 4, 4)[self._bones].transpose(0, 2, 1).astype(np.float64)
+        world = _matrix(mesh)
+        to_mesh = np.linalg.inv(world) @ _matrix(armature)
+        matrices = to_mesh @ channels @ np.linalg.inv(to_mesh)
+        return BonePose(bone_matrices=matrices, world=world, armature=to_mesh)
+
+
+def _armature_modifier(obj: bpy.types.Object) -> bpy.types.Modifier | None:
+    for modifier in obj.modifiers:
+        if modifier.type == "ARMATURE" and modifier.show_viewport and modifier.object is not None:
+            return modifier
+    return None
+
+
+def _matrix(obj: bpy.types.Object) -> FloatArray:
+    return np.array(obj.matrix_world, dtype=np.float64)
+
+
+def _stretch(obj: bpy.types.Object) -> FloatArray:
+    """Symmetric factor of the object's matrix, in its polar decomposition."""
+    _, stretches, axes = np.linalg.svd(_matrix(obj)[:3, :3])
+    if not stretches.min() > 1e-6 * stretches.max():
+        raise NotBakeableError(
+            f"Object '{obj.name}' is flat: its scale is 0 along some axis; apply or change its scale"
+        )
+    stretch: FloatArray = axes.T * stretches @ axes
+    return stretch
+
+
+def _size(surface: Surface) -> float:
+    return float(np.ptp(surface.rest_positions, axis=0).max())
+
+
+def _triangles(mesh: bpy.types.Mesh) -> IntArray:
+    mesh.calc_loop_triangles()
+    triangles = np.empty(len(mesh.loop_triangles) * 3, dtype=np.int32)
+    mesh.loop_triangles.foreach_get("vertices", triangles)
+    return triangles.reshape(-1, 3)
+
+
+def _bone_weights(obj: bpy.types.Object, bones: list[str]) -> tuple[IntArray, FloatArray]:
+    """Table of bones and weights (v, k), in the order in which each vertex stores them."""
+    order = {name: index for index, name in enumerate(bones)}
+    bone_of_group = {group.index: order[group.name] for group in obj.vertex_groups if group.name in order}
+    rows = [
+        [(bone_of_group[e.group], e.weight) for e in vertex.groups if e.weight > 0.0 and e.group in bone_of_group]
+        for vertex in obj.data.vertices
+    ]
+    width = max((len(row) for row in rows), default=0) or 1
+    indices = np.zeros((len(rows), width), dtype=np.int32)
+    weights = np.zeros((len(rows), width))
+    for vertex, row in enumerate(rows):
+        for place, (bone, weight) in enumerate(row):
+            indices[vertex, place] = bone
+            weights[vertex, place] = weight
+    return indices, weights

@@ -1,20 +1,190 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which objects of a scene can carry secondary motion, and why another one cannot."""
+"""Which objects of a scene can carry secondary motion, what moves them, and why another one cannot."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import bpy
+
+from followthrough.blender.actions import has_foreign_animation
+from followthrough.blender.shape_keys import our_names
+
+#: Modifiers that move vertices one by one and keep their number.
+DEFORMING = frozenset(
+    "ARMATURE CAST CORRECTIVE_SMOOTH CURVE DISPLACE HOOK LAPLACIANDEFORM LAPLACIANSMOOTH LATTICE MESH_DEFORM "
+    "SHRINKWRAP SIMPLE_DEFORM SMOOTH SURFACE_DEFORM WARP WAVE".split()
+)
+#: Modifiers that move nothing.
+STILL = frozenset(
+    "COLLISION DATA_TRANSFER DYNAMIC_PAINT NORMAL_EDIT PARTICLE_SYSTEM UV_PROJECT UV_WARP VERTEX_WEIGHT_EDIT "
+    "VERTEX_WEIGHT_MIX VERTEX_WEIGHT_PROXIMITY WEIGHTED_NORMAL".split()
+)
+#: Modifiers that put vertices where a file says, whatever the shape keys are.
+REPLACING = frozenset("MESH_CACHE MESH_SEQUENCE_CACHE".split())
 
 
 class NotBakeableError(ValueError):
     """An object that cannot be baked; the message says why and what to do."""
 
 
+@dataclass(frozen=True)
+class Deformation:
+    """What moves a mesh's vertices.
+
+    Attributes
+    ----------
+    armature : str or None
+        Name of the Armature modifier, where a plain one alone moves the mesh; None: it must be sampled.
+    skeleton : str or None
+        Name of the first armature object that takes part.
+    behind : tuple of str
+        Modifiers that act on the deformed mesh and do not matter here.
+    """
+
+    armature: str | None
+    skeleton: str | None
+    behind: tuple[str, ...]
+
+
 def skinned_meshes(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Mesh objects of the scene that an armature (or another deforming modifier) moves, in the scene's order."""
-    raise NotImplementedError
+    """Mesh objects of the scene that an armature moves, in the scene's order."""
+    return [obj for obj in scene.objects if obj.type == "MESH" and skeleton_of(obj) is not None]
 
 
 def why_not_bakeable(obj: bpy.types.Object) -> str | None:
-    """Reason why this object cannot be baked, a sentence for the artist; None where it can."""
-    raise NotImplementedError
+    """Reason why this object cannot be baked, a sentence for the artist; None where it can.
+
+    Quick enough for a panel: coordinates are not looked at (`read_surface` does).
+    """
+    try:
+        require_bakeable(obj)
+    except NotBakeableError as problem:
+        return str(problem)
+    return None
+
+
+def require_bakeable(obj: bpy.types.Object) -> Deformation:
+    """Tell what moves this object.
+
+    Raises
+    ------
+    NotBakeableError
+        Where it cannot be baked.
+    """
+    name = f"Object '{obj.name}'"
+    if obj.type != "MESH":
+        raise NotBakeableError(f"{name} is no mesh (it is of type {obj.type.lower()}): choose the character's mesh")
+    _require_own_mesh(obj, name)
+    mesh = obj.data
+    if obj.mode != "EDIT" and (not len(mesh.vertices) or not len(mesh.polygons)):
+        raise NotBakeableError(f"{name} has an empty mesh: there are no faces to bake")
+    _require_usable_keys(obj, name)
+    return _deformation(obj, name)
+
+
+def skeleton_of(obj: bpy.types.Object) -> bpy.types.Object | None:
+    """The first armature object that moves this mesh."""
+    for modifier in obj.modifiers:
+        if modifier.type == "ARMATURE" and modifier.show_viewport and modifier.object is not None:
+            return modifier.object
+    if _is_deformed_by_parent(obj) and obj.parent.type == "ARMATURE":
+        return obj.parent
+    return None
+
+
+def _is_deformed_by_parent(obj: bpy.types.Object) -> bool:
+    return obj.parent is not None and obj.parent_type in {"ARMATURE", "LATTICE"} and obj.parent.type != "MESH"
+
+
+def _require_own_mesh(obj: bpy.types.Object, name: str) -> None:
+    mesh = obj.data
+    library = obj.library or mesh.library
+    if library is not None or mesh.override_library is not None:
+        source = f" from {library.filepath}" if library is not None else ""
+        raise NotBakeableError(
+            f"{name} has a mesh that is linked{source}: its shape keys would be lost when the file is opened again; "
+            "make the mesh local (Object > Relations > Make Local)"
+        )
+    sharing = sorted(other.name for other in bpy.data.objects if other.data == mesh and other != obj)
+    if sharing:
+        raise NotBakeableError(
+            f"{name} shares its mesh with {', '.join(repr(other) for other in sharing)}, and would move them too: "
+            "give it a mesh of its own (Object > Relations > Make Single User)"
+        )
+
+
+def _require_usable_keys(obj: bpy.types.Object, name: str) -> None:
+    key = obj.data.shape_keys
+    if key is None:
+        return
+    if not key.use_relative:
+        raise NotBakeableError(f"{name} has absolute shape keys: switch on Relative in its Shape Keys panel")
+    if obj.show_only_shape_key:
+        raise NotBakeableError(f"{name} shows only its active shape key: switch off Solo in its Shape Keys panel")
+    animation = key.animation_data
+    if animation is not None and animation.use_tweak_mode:
+        raise NotBakeableError(f"{name} has a shape key strip that is being tweaked: leave tweak mode first")
+    if animation is not None and len(animation.nla_tracks) and (not animation.use_nla or _has_solo_track(animation)):
+        raise NotBakeableError(f"{name} has shape key tracks that are switched off or solo: a bake would not play")
+
+
+def _has_solo_track(animation: bpy.types.AnimData) -> bool:
+    return any(track.is_solo for track in animation.nla_tracks)
+
+
+def _deformation(obj: bpy.types.Object, name: str) -> Deformation:
+    chain: list[bpy.types.Modifier] = []
+    behind: list[str] = []
+    generator: str | None = None
+    for modifier in obj.modifiers:
+        if not modifier.show_viewport or modifier.type in STILL or _is_idle(modifier):
+            continue
+        if modifier.type in REPLACING:
+            raise NotBakeableError(f"{name} has the modifier '{modifier.name}', which replaces what shape keys do")
+        if generator is not None and modifier.type in DEFORMING and (modifier.type == "ARMATURE" or not chain):
+            raise NotBakeableError(
+                f"{name} is deformed by '{modifier.name}' after '{generator}' has made new vertices, which shape keys "
+                f"cannot reach: apply '{generator}', or move it below"
+            )
+        if generator is None and modifier.type in DEFORMING:
+            chain.append(modifier)
+        else:
+            generator = generator or modifier.name
+            behind.append(modifier.name)
+    skeleton = skeleton_of(obj)
+    if not chain and not _is_deformed_by_parent(obj):
+        raise NotBakeableError(f"{name} is moved by no armature: give it an Armature modifier with an armature object")
+    plain = len(chain) == 1 and _is_plain(obj, chain[0]) and not _has_active_keys(obj.data.shape_keys)
+    return Deformation(
+        armature=chain[0].name if plain and not _is_deformed_by_parent(obj) else None,
+        skeleton=skeleton.name if skeleton is not None else None,
+        behind=tuple(behind),
+    )
+
+
+def _is_idle(modifier: bpy.types.Modifier) -> bool:
+    needs_object = modifier.type in {"ARMATURE", "CURVE", "HOOK", "LATTICE", "MESH_DEFORM"}
+    return needs_object and modifier.object is None
+
+
+def _is_plain(obj: bpy.types.Object, modifier: bpy.types.Modifier) -> bool:
+    """Whether bone matrices and vertex groups tell all that this modifier does."""
+    if modifier.type != "ARMATURE" or modifier.use_bone_envelopes or not modifier.use_vertex_groups:
+        return False
+    if modifier.vertex_group or modifier.use_multi_modifier:
+        return False
+    groups = {group.name for group in obj.vertex_groups}
+    bones = [bone for bone in modifier.object.data.bones if bone.use_deform and bone.name in groups]
+    return not any(bone.bbone_segments > 1 or bone.use_envelope_multiply for bone in bones)
+
+
+def _has_active_keys(key: bpy.types.Key | None) -> bool:
+    """Whether shape keys of others take part in the deformation, now or in another frame."""
+    if key is None:
+        return False
+    ours = our_names(key)
+    others = [block for block in key.key_blocks[1:] if block.name not in ours and not block.mute]
+    if not others:
+        return False
+    return any(block.value != 0.0 for block in others) or has_foreign_animation(key)

@@ -6,11 +6,27 @@ Keys and animation of others are never touched.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TypedDict
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
+
+from followthrough.blender import actions
+from followthrough.blender.modes import object_mode
+
+#: Custom property of the Key data-block that says what is ours.
+RECORD = "followthrough"
+
+
+class _Record(TypedDict):
+    start: int
+    end: int
+    names: list[str]
+    basis: bool
 
 
 def write(obj: bpy.types.Object, frames: Sequence[int], offsets: NDArray[np.float32]) -> None:
@@ -22,8 +38,32 @@ def write(obj: bpy.types.Object, frames: Sequence[int], offsets: NDArray[np.floa
         Scene frames, ascending and without gaps.
     offsets : (frames, v, 3) float32
         What each key adds to the Basis, in object space.
+
+    Raises
+    ------
+    ValueError
+        Where the shape does not fit the mesh; nothing is changed then.
     """
-    raise NotImplementedError
+    expected = (len(frames), len(obj.data.vertices), 3)
+    if offsets.shape != expected or not len(frames):
+        raise ValueError(f"offsets: found shape {offsets.shape}, expected {expected}, at least one frame")
+    with object_mode(obj.name), _same_active_key(obj):
+        made_basis = _remove(obj, keep_basis=True) or obj.data.shape_keys is None
+        if obj.data.shape_keys is None:
+            obj.shape_key_add(name="Basis", from_mix=False)
+        key = obj.data.shape_keys
+        basis = read_points(key.reference_key)
+        names = []
+        for frame, offset in zip(frames, offsets, strict=True):
+            block = obj.shape_key_add(name=f"Followthrough {frame:04d}", from_mix=False)
+            block.relative_key = key.reference_key
+            block.value = 0.0
+            block.points.foreach_set("co", (basis + offset).ravel())
+            names.append(block.name)
+        record: _Record = {"start": int(frames[0]), "end": int(frames[-1]), "names": names, "basis": made_basis}
+        key[RECORD] = json.dumps(record)
+        actions.write_action(key, f"{actions.OURS} {obj.name}", frames, names)
+        obj.data.update_tag()
 
 
 def clear(obj: bpy.types.Object) -> bool:
@@ -33,9 +73,64 @@ def clear(obj: bpy.types.Object) -> bool:
     -------
     False where there was nothing to remove.
     """
-    raise NotImplementedError
+    if obj.type != "MESH" or obj.data.shape_keys is None or RECORD not in obj.data.shape_keys:
+        return False
+    with object_mode(obj.name), _same_active_key(obj):
+        _remove(obj, keep_basis=False)
+        obj.data.update_tag()
+    return True
 
 
 def baked_range(obj: bpy.types.Object) -> tuple[int, int] | None:
     """First and last frame of the bake that this mesh carries; None where it carries none."""
-    raise NotImplementedError
+    record = _record(obj.data.shape_keys) if obj.type == "MESH" else None
+    return (record["start"], record["end"]) if record is not None else None
+
+
+def our_names(key: bpy.types.Key | None) -> frozenset[str]:
+    """Names of the shape keys that a bake made, also of those that someone has renamed since."""
+    record = _record(key)
+    if key is None or record is None:
+        return frozenset()
+    return frozenset(record["names"]) & frozenset(key.key_blocks.keys()) | actions.animated_blocks(key)
+
+
+def read_points(block: bpy.types.ShapeKey) -> NDArray[np.float32]:
+    """Coordinates of a shape key, (v, 3)."""
+    points = np.empty(len(block.points) * 3, dtype=np.float32)
+    block.points.foreach_get("co", points)
+    return points.reshape(-1, 3)
+
+
+def _record(key: bpy.types.Key | None) -> _Record | None:
+    if key is None or RECORD not in key:
+        return None
+    record: _Record = json.loads(key[RECORD])
+    return record
+
+
+def _remove(obj: bpy.types.Object, keep_basis: bool) -> bool:
+    """Remove our keys and action; returns whether the Basis that is left is one that we made."""
+    key = obj.data.shape_keys
+    record = _record(key)
+    if key is None or record is None:
+        return False
+    names = our_names(key)
+    actions.remove_action(key)
+    for block in reversed([block for block in key.key_blocks if block.name in names]):
+        obj.shape_key_remove(block)
+    del key[RECORD]
+    if record["basis"] and not keep_basis and len(key.key_blocks) == 1:
+        obj.shape_key_remove(key.key_blocks[0])
+        return False
+    return record["basis"]
+
+
+@contextmanager
+def _same_active_key(obj: bpy.types.Object) -> Iterator[None]:
+    """Keep the active shape key active, wherever in the list it is afterwards."""
+    active = obj.active_shape_key.name if obj.active_shape_key is not None else None
+    yield
+    key = obj.data.shape_keys
+    if key is not None:
+        obj.active_shape_key_index = max(key.key_blocks.find(active), 0) if active is not None else 0

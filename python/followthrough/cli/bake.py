@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`followthrough bake`: a character's file in, a .blend out that plays its secondary motion as shape keys.
+
+It needs Blender's Python module (`pip install followthrough[blender]`), or runs inside Blender itself, where the
+`followthrough` package can be imported::
+
+    blender --background --python-exit-code 1 --python-expr \
+        "import sys; from followthrough.cli import main; sys.exit(main(['bake', 'fox.glb', '-o', 'baked.blend']))"
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from followthrough.cli.progress import with_progress
+from followthrough.settings import Settings, SpringSettings, VolumeSettings
+
+if TYPE_CHECKING:
+    import bpy
+
+    from followthrough.blender import BakeReport, FrameRange, ObjectSettings
+
+_NO_BLENDER = (
+    "this command needs Blender's Python module: pip install 'followthrough[blender]', or run it inside Blender: "
+    "blender --background --python-expr \"from followthrough.cli import main; main(['bake', 'IN.glb', '-o', "
+    "'OUT.blend'])\""
+)
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the command's arguments."""
+    springs, volume = SpringSettings(), VolumeSettings()
+    parser = subparsers.add_parser(
+        "bake",
+        help="bake a character's secondary motion to shape keys",
+        description="Open a character, simulate its secondary motion and write a .blend that plays it as shape keys, "
+        "in any Blender. Every skinned mesh of the file is baked unless --object chooses. Vertex groups called "
+        "'Followthrough Stiffness', 'Followthrough Mass' and 'Followthrough Pins' are read where the mesh has them; "
+        "where it has not, values are suggested from the distance to the bones.",
+    )
+    parser.add_argument("input", metavar="IN", type=Path, help=".blend, .glb, .gltf or .fbx")
+    parser.add_argument(
+        "-o", "--output", metavar="OUT.blend", type=Path, required=True, help="where to write the result"
+    )
+    parser.add_argument(
+        "--object", metavar="NAME", action="append", help="mesh object to bake; may be given several times"
+    )
+    parser.add_argument(
+        "--action", metavar="NAME", help="action that the armatures play (default: the one of the file)"
+    )
+    parser.add_argument(
+        "--start", metavar="F", type=int, help="first frame (default: the action's where one is chosen or imported)"
+    )
+    parser.add_argument("--end", metavar="F", type=int, help="last frame (default: as for --start)")
+    parser.add_argument(
+        "--preroll", metavar="N", type=int, default=0, help="frames that are simulated before the first one"
+    )
+    parser.add_argument(
+        "--cycles",
+        metavar="N",
+        type=int,
+        default=0,
+        help="the action is a loop: simulate it N times before it is baked",
+    )
+    parser.add_argument(
+        "--cells",
+        metavar="N",
+        type=int,
+        default=volume.cells,
+        help="cells along the longest side (default %(default)s)",
+    )
+    parser.add_argument(
+        "--no-split-parts", action="store_true", help="glue parts of the body that come near each other"
+    )
+    parser.add_argument(
+        "--method", choices=("voxel", "tetgen"), default=volume.method, help="kind of volume (default %(default)s)"
+    )
+    parser.add_argument("--solver", choices=("springs",), default="springs", help="dynamics (default %(default)s)")
+    parser.add_argument(
+        "--stiffness",
+        metavar="KS or LOW:HIGH",
+        type=_stiffness,
+        default=springs.stiffness_range,
+        help="spring stiffness, 1/s²: one for all, or those of paint 0 and 1 "
+        f"(default {springs.stiffness_range[0]:g}:{springs.stiffness_range[1]:g})",
+    )
+    damping = parser.add_mutually_exclusive_group()
+    damping.add_argument("--damping", metavar="KD", type=float, help="spring damping, 1/s, the same everywhere")
+    damping.add_argument(
+        "--damping-ratio",
+        metavar="Z",
+        type=float,
+        default=springs.damping_ratio,
+        help="share of critical damping (default %(default)s)",
+    )
+    parser.add_argument(
+        "--pin-groups",
+        metavar="NAME[:STRENGTH]",
+        nargs="+",
+        help="vertex groups that pin (default: 'Followthrough Pins' where it is there)",
+    )
+    parser.add_argument("--stiffness-group", metavar="NAME", help="vertex group of painted stiffness")
+    parser.add_argument("--mass-group", metavar="NAME", help="vertex group of painted mass")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do it."""
+    motion = Settings(
+        volume=VolumeSettings(cells=args.cells, split_parts=not args.no_split_parts, method=args.method),
+        springs=SpringSettings(stiffness_range=args.stiffness, damping_ratio=args.damping_ratio, damping=args.damping),
+    )
+    try:
+        import bpy
+    except ImportError as problem:
+        raise ValueError(_NO_BLENDER) from problem
+    from followthrough import blender
+    from followthrough.blender import actions, files
+    from followthrough.blender.scene import skeleton_of
+
+    groups = blender.PaintGroups(
+        stiffness=args.stiffness_group,
+        mass=args.mass_group,
+        pins=None if args.pin_groups is None else tuple(_pin_group(text) for text in args.pin_groups),
+    )
+    settings = blender.ObjectSettings(motion=motion, groups=groups)
+    files.require_output(args.output)
+    imported = files.open_file(args.input)
+    chosen = _choose(args.object)
+    frame_range: tuple[int, int] | None = None
+    if args.action is not None or imported:
+        meshes = [bpy.data.objects[name] for names in chosen.values() for name in names]
+        armatures = {skeleton.name: skeleton for skeleton in map(skeleton_of, meshes) if skeleton is not None}
+        if args.action is not None:
+            frame_range = actions.play_action(armatures.values(), args.action)
+        else:
+            frame_range = actions.played_range(armatures.values())
+    start, end = frame_range or (None, None)
+    frames = blender.FrameRange(
+        start=start if args.start is None else args.start,
+        end=end if args.end is None else args.end,
+        preroll=args.preroll,
+        cycles=args.cycles,
+    )
+    for scene_name, names in chosen.items():
+        scene = bpy.data.scenes[scene_name]
+        report = _bake(scene, dict.fromkeys(names, settings), frames, args.quiet)
+        if imported:
+            scene.frame_start, scene.frame_end = report.start, report.end
+            scene.frame_set(report.start)
+        _print_report(report)
+    files.save_file(args.output, pack=imported)
+    print(f"{args.output}: written")
+    return 0
+
+
+def _choose(wanted: list[str] | None) -> dict[str, list[str]]:
+    """Names of the objects to bake, by the name of their scene."""
+    import bpy
+
+    from followthrough import blender
+
+    chosen: dict[str, list[str]] = {}
+    left = None if wanted is None else list(dict.fromkeys(wanted))
+    taken: set[str] = set()
+    scenes = [bpy.context.scene, *(scene for scene in bpy.data.scenes if scene != bpy.context.scene)]
+    for scene in scenes:
+        if left is None:
+            view_layer = bpy.context.view_layer if scene == bpy.context.scene else scene.view_layers[0]
+            meshes = blender.skinned_meshes(scene)
+            names = [obj.name for obj in meshes if obj.visible_get(view_layer=view_layer) and obj.name not in taken]
+        else:
+            names = [name for name in left if name in scene.objects and name not in taken]
+        taken.update(names)
+        if names:
+            chosen[scene.name] = names
+    missing = [name for name in left or () if name not in taken]
+    if missing:
+        there = ", ".join(repr(obj.name) for obj in bpy.data.objects if obj.type == "MESH") or "none"
+        raise ValueError(f"--object: found no object {missing[0]!r} in the file, expected one of its meshes ({there})")
+    if not chosen:
+        _explain_nothing_to_bake()
+    return chosen
+
+
+def _explain_nothing_to_bake() -> None:
+    import bpy
+
+    from followthrough import blender
+
+    meshes = [obj for obj in bpy.data.objects if obj.type == "MESH"]
+    if not meshes:
+        raise ValueError("the file has no mesh: there is nothing to bake")
+    if any(blender.skinned_meshes(scene) for scene in bpy.data.scenes):
+        raise ValueError("every mesh that an armature moves is hidden: show one, or leave only those that are wanted")
+    reasons = filter(None, map(blender.why_not_bakeable, meshes))
+    raise ValueError(next(reasons, "no mesh of the file is moved by an armature: choose one with --object"))
+
+
+def _bake(scene: bpy.types.Scene, objects: dict[str, ObjectSettings], frames: FrameRange, quiet: bool) -> BakeReport:
+    from followthrough import blender
+
+    bake = blender.Bake(scene, objects, frames)
+    for _ in with_progress(_Steps(bake), "bake", quiet=quiet):
+        pass
+    return bake.finish()
+
+
+class _Steps:
+    """The bake's steps with their number, which a progress bar asks for."""
+
+    def __init__(self, bake: Any) -> None:
+        self._bake = bake
+
+    def __len__(self) -> int:
+        return int(self._bake.total)
+
+    def __iter__(self) -> Any:
+        return self._bake.run()
+
+
+def _print_report(report: BakeReport) -> None:
+    for entry in report.objects:
+        print(
+            f"{entry.name}: frames {report.start} to {report.end}, {entry.vertices} vertices, {entry.tets} tets, "
+            f"largest displacement {entry.largest_displacement:.4g} m, largest residual {entry.largest_residual:.2g} m"
+            f"{', sampled by probes' if entry.sampled else ''}"
+        )
+    print(f"baked in {report.seconds:.1f} s")
+
+
+def _stiffness(text: str) -> tuple[float, float]:
+    low, _, high = text.partition(":")
+    try:
+        return float(low), float(high or low)
+    except ValueError as problem:
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected a number, or two as LOW:HIGH") from problem
+
+
+def _pin_group(text: str) -> Any:
+    """A group's name, and its strength behind a colon; a colon without a number belongs to the name."""
+    from followthrough.blender import PinGroup
+
+    name, colon, strength = text.rpartition(":")
+    if colon:
+        try:
+            return PinGroup(name, float(strength))
+        except ValueError:
+            if _is_number(strength):
+                raise
+    return PinGroup(text)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

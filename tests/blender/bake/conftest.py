@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A small character that every test of the bake builds anew: a soft column on two bones, the upper one swinging."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+RINGS, SEGMENTS = 9, 8
+
+
+@dataclass
+class Character:
+    """Names of a character's objects; references would not survive undo or a reload."""
+
+    mesh_name: str
+    armature_name: str
+    size: float
+
+    @property
+    def mesh(self) -> Any:
+        return bpy.data.objects[self.mesh_name]
+
+    @property
+    def armature(self) -> Any:
+        return bpy.data.objects[self.armature_name]
+
+    @property
+    def modifier(self) -> Any:
+        return self.mesh.modifiers["Armature"]
+
+    def positions(self, frame: float | None = None, world: bool = True) -> NDArray[np.float64]:
+        """Evaluated vertices (v, 3) in a frame, as Blender shows them."""
+        scene = bpy.context.scene
+        if frame is not None:
+            scene.frame_set(math.floor(frame), subframe=frame - math.floor(frame))
+        evaluated = self.mesh.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        points = np.empty(len(evaluated.data.vertices) * 3, dtype=np.float32)
+        evaluated.data.vertices.foreach_get("co", points)
+        points = points.reshape(-1, 3).astype(np.float64)
+        matrix = np.array(evaluated.matrix_world, dtype=np.float64)
+        return points @ matrix[:3, :3].T + matrix[:3, 3] if world else points
+
+    def skinned(self, frame: float) -> NDArray[np.float64]:
+        """The same without our shape keys."""
+        keys = [block for block in self.mesh.data.shape_keys.key_blocks if block.name.startswith("Followthrough")]
+        for block in keys:
+            block.mute = True
+        positions = self.positions(frame)
+        for block in keys:
+            block.mute = False
+        return positions
+
+
+def build_character(
+    name: str = "Creature",
+    size: float = 1.0,
+    frames: int = 8,
+    preserve_volume: bool = False,
+    seam: bool = False,
+    animate: bool = True,
+) -> Character:
+    """A column of height 2 `size`, bound to the bones Lower and Upper; Upper swings about x and back within `frames`."""
+    angles = np.linspace(0.0, 2.0 * math.pi, SEGMENTS, endpoint=False)
+    heights = np.linspace(0.0, 2.0, RINGS)
+    ring = np.column_stack([0.4 * np.cos(angles), 0.4 * np.sin(angles)])
+    vertices = [(x * size, y * size, z * size) for z in heights for x, y in ring]
+    faces = [
+        (
+            r * SEGMENTS + s,
+            r * SEGMENTS + (s + 1) % SEGMENTS,
+            (r + 1) * SEGMENTS + (s + 1) % SEGMENTS,
+            (r + 1) * SEGMENTS + s,
+        )
+        for r in range(RINGS - 1)
+        for s in range(SEGMENTS)
+    ]
+    faces += [tuple(reversed(range(SEGMENTS))), tuple(range((RINGS - 1) * SEGMENTS, RINGS * SEGMENTS))]
+    if seam:  # the last face hangs on vertices of its own, at the same places
+        first = len(vertices)
+        vertices += [vertices[index] for index in faces[-1]]
+        faces[-1] = tuple(range(first, first + SEGMENTS))
+    data = bpy.data.meshes.new(name)
+    data.from_pydata(vertices, [], faces)
+    mesh = bpy.data.objects.new(name, data)
+    rig = bpy.data.armatures.new(f"{name} rig")
+    armature = bpy.data.objects.new(f"{name} rig", rig)
+    for obj in (mesh, armature):
+        bpy.context.scene.collection.objects.link(obj)
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    lower = rig.edit_bones.new("Lower")
+    lower.head, lower.tail = (0, 0, 0), (0, 0, size)
+    upper = rig.edit_bones.new("Upper")
+    upper.head, upper.tail = (0, 0, size), (0, 0, 2 * size)
+    upper.parent = lower
+    bpy.ops.object.mode_set(mode="OBJECT")
+    groups = {bone: mesh.vertex_groups.new(name=bone) for bone in ("Lower", "Upper")}
+    for index, (_, _, z) in enumerate(vertices):
+        share = min(1.0, max(0.0, (z / size - 0.7) / 0.6))
+        # Not normalised, on purpose: the Armature modifier divides by the sum.
+        if share < 1.0:
+            groups["Lower"].add([index], 0.6 * (1.0 - share), "REPLACE")
+        if share > 0.0:
+            groups["Upper"].add([index], 0.6 * share, "REPLACE")
+    modifier = mesh.modifiers.new("Armature", "ARMATURE")
+    modifier.object = armature
+    modifier.use_deform_preserve_volume = preserve_volume
+    mesh.parent = armature
+    bone = armature.pose.bones["Upper"]
+    bone.rotation_mode = "XYZ"
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = 1, frames
+    if animate:
+        for frame, angle in ((1, 0.0), (1 + (frames - 1) / 2, 0.9), (frames, 0.0)):
+            bone.rotation_euler.x = angle
+            bone.keyframe_insert("rotation_euler", frame=frame)
+    scene.frame_set(1)
+    return Character(mesh.name, armature.name, 2.0 * size)
+
+
+@pytest.fixture
+def make_character() -> Callable[..., Character]:
+    """Builder of characters."""
+    return build_character
+
+
+@pytest.fixture
+def character() -> Character:
+    """The usual one."""
+    return build_character()
