@@ -86,6 +86,7 @@ def build(arguments: argparse.Namespace, work: Path) -> Path:
     source = work / "followthrough"
     wheels = source / "wheels"
     shutil.copytree(ROOT / "addon", source, ignore=shutil.ignore_patterns("__pycache__", "wheels"))
+    shutil.copy(ROOT / "LICENSE", source)
     wheels.mkdir()
     for wheel in _wheel_files(arguments.wheels):
         shutil.copy(wheel, wheels)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bake Followthrough: in a window a little at a time, so that Blender stays alive; from scripts all at once."""
 
+import time
+
 import bpy
 from bpy.types import Operator
 
@@ -10,8 +12,9 @@ from ..characters import selected_characters
 from ..properties.bake_settings import frame_range, object_settings
 from .session import BakeSession, running
 
-#: Seconds that are baked at a time before the window may be drawn again.
+#: Seconds that are baked before the window may be drawn again: usually, and at most where drawing takes long.
 TIME_SLICE = 0.1
+LONGEST_TIME_SLICE = 0.4
 
 #: What remains possible while a bake runs: looking from elsewhere. Anything else could change what is baked.
 _VIEW_EVENTS = {"MIDDLEMOUSE", "MOUSEMOVE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "MOUSESMARTZOOM"}
@@ -32,6 +35,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
 
     _bake: BakeSession | None = None
     _timer: bpy.types.Timer | None = None
+    _slice_ended: float | None = None
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -106,7 +110,8 @@ class FOLLOWTHROUGH_OT_bake(Operator):
     def _tick(self, context: bpy.types.Context, bake: BakeSession) -> set[str]:
         try:
             if not bake.is_simulated:
-                bake.advance(TIME_SLICE)
+                bake.advance(self._time_slice())
+                self._slice_ended = time.monotonic()
                 _redraw_sidebars(context)
                 return {"RUNNING_MODAL"}
             report = bake.finish()
@@ -120,6 +125,11 @@ class FOLLOWTHROUGH_OT_bake(Operator):
         self._leave(context)
         self._report(report)
         return {"FINISHED"}
+
+    def _time_slice(self) -> float:
+        """Bake for twice as long as Blender needed to draw, so that a heavy scene does not spend its time on that."""
+        drawing = time.monotonic() - self._slice_ended if self._slice_ended is not None else 0.0
+        return min(max(TIME_SLICE, 2.0 * drawing), LONGEST_TIME_SLICE)
 
     def _leave(self, context: bpy.types.Context) -> None:
         if self._timer is not None:

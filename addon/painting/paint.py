@@ -38,6 +38,17 @@ def painted_target(obj: bpy.types.Object) -> str | None:
     return next((target for target in MEANINGS if group_to_paint(obj, target) == active.name), None)
 
 
+def brush_weight_owner(context: bpy.types.Context) -> bpy.types.bpy_struct | None:
+    """What holds the weight that is painted: all brushes together or the one in use; None while there is no brush."""
+    tools = context.tool_settings
+    paint = tools.weight_paint
+    if paint is None or paint.brush is None:
+        return None
+    # Blender 5.0 moved what brushes share from the tools to each paint mode.
+    shared = getattr(paint, "unified_paint_settings", None) or tools.unified_paint_settings
+    return shared if shared.use_unified_weight else paint.brush
+
+
 class FOLLOWTHROUGH_OT_paint(Operator):
     bl_idname = "followthrough.paint"
     bl_label = "Paint Followthrough"

@@ -58,6 +58,17 @@ def _lower_first_frame(settings: "FollowthroughSettings", _context: bpy.types.Co
         settings.frame_start = settings.frame_end
 
 
+def _paint_active_pin_group(settings: "FollowthroughSettings", _context: bpy.types.Context) -> None:
+    """While a pin group is painted, choosing another one in the list goes on with that."""
+    groups, painted = settings.id_data.vertex_groups, settings.id_data.vertex_groups.active
+    if settings.id_data.mode != "WEIGHT_PAINT" or painted is None or painted.name not in settings.pin_groups:
+        return
+    if settings.active_pin_group < len(settings.pin_groups):
+        chosen = groups.get(settings.pin_groups[settings.active_pin_group].name)
+        if chosen is not None:
+            groups.active = chosen
+
+
 class FollowthroughPinGroup(PropertyGroup):
     """A vertex group that holds the character to its armature."""
 
@@ -90,6 +101,7 @@ class FollowthroughSettings(PropertyGroup):
         description="Pin group that is painted and edited",
         min=0,
         options={"HIDDEN"},
+        update=_paint_active_pin_group,
     )
 
     frequency_soft: FloatProperty(  # type: ignore[valid-type]
@@ -121,6 +133,7 @@ class FollowthroughSettings(PropertyGroup):
     damping_ratio: FloatProperty(  # type: ignore[valid-type]
         name="Damping",
         description="How soon the swinging dies down: at 0 never, at 1 and more the skin settles without swinging",
+        subtype="FACTOR",
         default=_SPRINGS.damping_ratio,
         min=0.0,
         soft_max=1.0,

@@ -19,6 +19,8 @@ class FOLLOWTHROUGH_UL_pin_groups(UIList):
         _flags: int = 0,
     ) -> None:
         there = pin.name in settings.id_data.vertex_groups
+        # The prefix that our groups share would push out of a narrow sidebar what tells them apart.
+        name = pin.name.removeprefix("Followthrough ") or "No group chosen"
         split = layout.split(factor=0.65)
-        split.label(text=pin.name or "No group chosen", icon="GROUP_VERTEX" if there else "ERROR")
+        split.label(text=name, icon="GROUP_VERTEX" if there else "ERROR")
         split.prop(pin, "strength", text="", emboss=False)

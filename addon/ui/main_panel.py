@@ -67,7 +67,7 @@ def draw_progress(layout: bpy.types.UILayout, bake: BakeSession) -> None:
     row = column.row()
     row.scale_y = 1.4
     row.progress(factor=bake.done / bake.total, type="BAR", text=bake.status())
-    column.label(text="Esc cancels and changes nothing", icon="EVENT_ESC")
+    column.label(text="Esc cancels and changes nothing")
 
 
 def draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

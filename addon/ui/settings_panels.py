@@ -10,6 +10,7 @@ from ..painting.paint import (
     MEANINGS,
     FOLLOWTHROUGH_OT_finish_painting,
     FOLLOWTHROUGH_OT_paint,
+    brush_weight_owner,
     painted_target,
 )
 from ..painting.pin_groups import FOLLOWTHROUGH_OT_add_pin_group, FOLLOWTHROUGH_OT_remove_pin_group
@@ -47,7 +48,10 @@ class FOLLOWTHROUGH_PT_paint(_CharacterPanel, Panel):
         for key, label in _PAINT_BUTTONS:
             row.operator(FOLLOWTHROUGH_OT_paint.bl_idname, text=label, depress=key == target).target = key
         if target is not None:
-            layout.label(text=MEANINGS[target], icon="INFO")
+            column = layout.column(align=True)
+            column.label(text=MEANINGS[target], icon="INFO")
+            if (owner := brush_weight_owner(context)) is not None:
+                column.prop(owner, "weight", slider=True)
         if obj.mode == "WEIGHT_PAINT":
             layout.operator(FOLLOWTHROUGH_OT_finish_painting.bl_idname, icon="CHECKMARK")
         self._draw_pin_groups(layout, obj)
@@ -64,22 +68,16 @@ class FOLLOWTHROUGH_PT_paint(_CharacterPanel, Panel):
         buttons.operator(FOLLOWTHROUGH_OT_remove_pin_group.bl_idname, text="", icon="REMOVE")
         if settings.active_pin_group < len(settings.pin_groups):
             pin = settings.pin_groups[settings.active_pin_group]
-            column = layout.column()
-            column.prop_search(pin, "name", obj, "vertex_groups", text="Group")
-            column.prop(pin, "strength")
+            layout.prop_search(pin, "name", obj, "vertex_groups", text="")
 
 
 class FOLLOWTHROUGH_PT_motion(_CharacterPanel, Panel):
     bl_label = "Motion"
 
-    def draw_header_preset(self, _context: bpy.types.Context) -> None:
-        row = self.layout.row()
-        row.emboss = "NONE"
-        row.menu(FOLLOWTHROUGH_MT_presets.__name__, text="", icon="PRESET")
-
     def draw(self, context: bpy.types.Context) -> None:
         layout, obj = self.character_layout(context)
         settings = obj.followthrough
+        layout.menu(FOLLOWTHROUGH_MT_presets.__name__, icon="PRESET")
         column = layout.column(align=True)
         column.prop(settings, "frequency_soft")
         column.prop(settings, "frequency_stiff")
@@ -92,7 +90,7 @@ class FOLLOWTHROUGH_PT_frames(_CharacterPanel, Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, obj = self.character_layout(context)
         settings = obj.followthrough
-        layout.row().prop(settings, "frame_range", expand=True)
+        layout.row().prop(settings, "frame_range", text="Range", expand=True)
         if settings.frame_range == "CUSTOM":
             column = layout.column(align=True)
             column.prop(settings, "frame_start", text="First")

@@ -128,3 +128,22 @@ def test_a_mesh_is_chosen_from_its_armature(painted: bpy.types.Object) -> None:
     assert bpy.ops.followthrough.select_character(name=painted.name) == {"FINISHED"}
     assert bpy.context.object == painted
     assert bpy.context.selected_objects == [painted]
+
+
+def test_painting_goes_on_with_the_group_chosen_in_the_list(painted: bpy.types.Object) -> None:
+    bpy.ops.followthrough.add_pin_group()
+    bpy.ops.followthrough.paint(target="PINS")
+    painted.followthrough.active_pin_group = 0
+    assert painted.vertex_groups.active.name == PINS_GROUP
+    # Looking through the list while something else is painted changes nothing.
+    bpy.ops.followthrough.paint(target="MASS")
+    painted.followthrough.active_pin_group = 1
+    assert painted.vertex_groups.active.name == MASS_GROUP
+
+
+def test_the_weight_to_paint_is_within_reach(addon: ModuleType, painted: bpy.types.Object) -> None:
+    bpy.ops.followthrough.paint(target="PINS")
+    owner = addon.painting.paint.brush_weight_owner(bpy.context)
+    if owner is not None:  # without a window Blender may not have chosen a brush
+        owner.weight = 0.3
+        assert owner.weight == pytest.approx(0.3)

@@ -15,8 +15,9 @@ import pytest
 class RecordingLayout:
     """Takes the place of a layout: remembers texts, and checks properties, operators and arguments with Blender."""
 
-    def __init__(self, texts: list[str] | None = None) -> None:
+    def __init__(self, texts: list[str] | None = None, icons: list[str] | None = None) -> None:
         object.__setattr__(self, "texts", [] if texts is None else texts)
+        object.__setattr__(self, "icons", [] if icons is None else icons)
 
     def __setattr__(self, name: str, value: Any) -> None:
         assert name in bpy.types.UILayout.bl_rna.properties, name
@@ -30,13 +31,14 @@ class RecordingLayout:
             icons = parameters["icon"].enum_items if "icon" in parameters else {}
             assert "icon" not in named or named["icon"] in icons, named
             self.texts.append(named.get("text", ""))
+            self.icons.append(named.get("icon", "NONE"))
             if name in {"prop", "prop_search"}:
                 assert positional[1] in positional[0].bl_rna.properties, positional
             if name == "operator":
                 group, _, operator = positional[0].partition(".")
                 rna = getattr(getattr(bpy.ops, group), operator).get_rna_type()
                 return SimpleNamespace(**dict.fromkeys(rna.properties.keys()))
-            return RecordingLayout(self.texts)
+            return RecordingLayout(self.texts, self.icons)
 
         return record
 
@@ -52,8 +54,6 @@ def draw(addon: ModuleType) -> dict[str, list[str]]:
                 if hasattr(cls, name):
                     setattr(panel, name, getattr(cls, name).__get__(panel))
             cls.draw(panel, bpy.context)
-            if hasattr(cls, "draw_header_preset"):
-                cls.draw_header_preset(panel, bpy.context)
             drawn[cls.bl_label] = layout.texts
     return drawn
 
@@ -130,5 +130,6 @@ def test_a_pin_group_that_is_missing_is_marked(addon: ModuleType, painted: bpy.t
     addon.ui.lists.FOLLOWTHROUGH_UL_pin_groups.draw_item(
         None, bpy.context, layout, painted.followthrough, pin, 0, None, ""
     )
-    assert "Followthrough Pins" in layout.texts
+    assert "Pins" in layout.texts
+    assert "ERROR" in layout.icons
     assert draw(addon)["Paint"]
