@@ -17,6 +17,7 @@ namespace followthrough {
 namespace {
 
 constexpr std::size_t kLatticePoints = static_cast<std::size_t>(kLinesPerCell * kLinesPerCell * kLinesPerCell);
+constexpr double kTwice = 1.65;  // winding number of an overlap; at a wall inside the body it comes up to 1.5
 constexpr Index kNone = -1;
 constexpr Index kAmbiguous = -2;
 
@@ -270,7 +271,7 @@ class PartSplitter {
       auto& points = below[touch_nodes_[touch]];
       Eigen::Vector3d point;
       if (points.size() < 8 && view.point_below(touch - touch_begin(cell), point)) {
-        points.push_back({touch - touch_begin(cell), point, tree_.winding_number_near(grid_.from_grid(point), 1.5) > 1.5});
+        points.push_back({touch - touch_begin(cell), point, tree_.winding_number_near(grid_.from_grid(point), kTwice) > kTwice});
       }
     }
     for (const auto& [patch, points] : below) {
