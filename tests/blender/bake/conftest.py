@@ -18,9 +18,12 @@ from followthrough.blender.rig_reading import make_reader
 from followthrough.blender.scene import require_bakeable
 from followthrough.blender.shape_keys import our_names, read_points
 from followthrough.secondary_motion import SecondaryMotion
-from followthrough.settings import Settings
+from followthrough.settings import Settings, VolumeSettings
 
 RINGS, SEGMENTS = 9, 8
+
+#: A coarse volume, so that a test takes no time.
+COARSE = Settings(volume=VolumeSettings(cells=8))
 
 
 @dataclass
@@ -67,12 +70,12 @@ class Character:
         return positions
 
     def displacements(self, start: int, end: int) -> list[NDArray[np.float64]]:
-        """What the default settings give in every frame, simulated step by step beside the bake."""
+        """What the usual settings give in every frame, simulated step by step beside the bake."""
         scene = bpy.context.scene
         scene.frame_set(start)
         surface = read_surface(self.mesh)
         paint = read_paint(self.mesh, surface)
-        motion = SecondaryMotion(surface, paint, Settings(), scene.render.fps_base / scene.render.fps)
+        motion = SecondaryMotion(surface, paint, COARSE, scene.render.fps_base / scene.render.fps)
         reader = make_reader(self.mesh, require_bakeable(self.mesh), surface)
         poses = []
         for frame in range(start, end + 1):
@@ -84,7 +87,7 @@ class Character:
 
     def bake(self, settings: ObjectSettings | None = None, frames: FrameRange | None = None) -> BakeReport:
         """Bake this character alone."""
-        bake = Bake(bpy.context.scene, {self.mesh_name: settings or ObjectSettings()}, frames)
+        bake = Bake(bpy.context.scene, {self.mesh_name: settings or ObjectSettings(motion=COARSE)}, frames)
         for _ in bake.run():
             pass
         return bake.finish()

@@ -21,9 +21,21 @@ from followthrough.blender import (
     write_group,
 )
 from followthrough.blender.shape_keys import our_names
-from followthrough.settings import Settings, SpringSettings
+from followthrough.settings import Settings, SpringSettings, VolumeSettings
 
-SOFT = ObjectSettings(motion=Settings(springs=SpringSettings(stiffness_range=(60.0, 60.0), damping_ratio=0.1)))
+
+def springs(stiffness: float, damping_ratio: float) -> ObjectSettings:
+    """The same spring everywhere, in a coarse volume."""
+    return ObjectSettings(
+        motion=Settings(
+            volume=VolumeSettings(cells=8),
+            springs=SpringSettings(stiffness_range=(stiffness, stiffness), damping_ratio=damping_ratio),
+        )
+    )
+
+
+COARSE = ObjectSettings(motion=Settings(volume=VolumeSettings(cells=8)))
+SOFT = springs(60.0, 0.1)
 
 
 def plain(character):
@@ -79,7 +91,7 @@ def subdivided(character):
 
 def finished_keys(character):
     character.mesh.shape_key_add(name="Basis")
-    character.mesh.shape_key_add(name="Fat")  # at 0 and not animated: takes no part
+    character.mesh.shape_key_add(name="Fat").value = 0.0  # and not animated: takes no part
 
 
 @pytest.mark.parametrize(
@@ -150,8 +162,8 @@ def test_pin_groups_have_strengths(character):
         write_group(character.mesh, name, np.ones(len(character.mesh.data.vertices)))
 
     def largest(*pins: PinGroup) -> float:
-        groups = PaintGroups(pins=pins)
-        return character.bake(ObjectSettings(groups=groups)).objects[0].largest_displacement
+        settings = ObjectSettings(motion=COARSE.motion, groups=PaintGroups(pins=pins))
+        return character.bake(settings).objects[0].largest_displacement
 
     free, soft, hard = largest(), largest(PinGroup("A", 0.5)), largest(PinGroup("A", 0.5), PinGroup("B"))
     assert free > soft > hard == 0.0
@@ -176,7 +188,7 @@ def test_several_meshes_are_baked_in_one_pass_as_each_alone(make_character):
         character.bake()
         alone.append(character.offsets())
         clear(character.mesh)
-    bake = Bake(bpy.context.scene, {character.mesh_name: ObjectSettings() for character in characters})
+    bake = Bake(bpy.context.scene, {character.mesh_name: COARSE for character in characters})
     assert [progress.frame for progress in bake.run()] == list(range(1, 9))
     assert [entry.name for entry in bake.finish().objects] == ["One", "Two"]
     for character, offsets in zip(characters, alone, strict=True):
@@ -231,7 +243,7 @@ def test_cancelling_leaves_nothing_changed(character, sampled, baked, steps):
         character.mesh.data.shape_keys.key_blocks[3].mute = True
     bpy.context.scene.frame_set(5, subframe=0.25)
     before = snapshot(character)
-    bake = Bake(bpy.context.scene, {character.mesh_name: ObjectSettings()})
+    bake = Bake(bpy.context.scene, {character.mesh_name: COARSE})
     run = bake.run()
     for _ in range(steps):
         next(run)
@@ -244,7 +256,7 @@ def test_cancelling_leaves_nothing_changed(character, sampled, baked, steps):
 
 def test_leaving_the_loop_cancels(character):
     before = snapshot(character)
-    bake = Bake(bpy.context.scene, {character.mesh_name: ObjectSettings()})
+    bake = Bake(bpy.context.scene, {character.mesh_name: COARSE})
     for progress in bake.run():
         if progress.done == 3:
             break
@@ -272,10 +284,10 @@ def test_the_frame_is_put_back(character):
 
 
 def test_the_result_is_not_finite_names_the_frame(character):
-    curve = character.armature.pose.bones["Upper"].driver_add("location", 0)
-    curve.driver.expression = "1e39 * 1e39 if frame > 4 else 0"
+    for bone in character.armature.pose.bones:  # the sum of the two is more than a float holds
+        bone.driver_add("location", 1).driver.expression = "3e38 if frame > 4 else 0"
     before = snapshot(character)
-    bake = Bake(bpy.context.scene, {character.mesh_name: ObjectSettings()})
+    bake = Bake(bpy.context.scene, {character.mesh_name: COARSE})
     with pytest.raises(ValueError, match=r"'Creature', frame 5"):
         list(bake.run())
     assert snapshot(character) == before
@@ -283,7 +295,7 @@ def test_the_result_is_not_finite_names_the_frame(character):
 
 
 def test_an_object_that_disappears_stops_the_bake(character):
-    bake = Bake(bpy.context.scene, {character.mesh_name: ObjectSettings()})
+    bake = Bake(bpy.context.scene, {character.mesh_name: COARSE})
     run = bake.run()
     next(run)
     bpy.data.objects.remove(character.mesh)
@@ -300,7 +312,7 @@ def test_preroll_is_simulated_and_not_keyed(character):
 
 
 def test_cycles_close_the_seam_of_a_loop(character):
-    damped = ObjectSettings(motion=Settings(springs=SpringSettings(stiffness_range=(60.0, 60.0), damping_ratio=0.6)))
+    damped = springs(60.0, 0.6)
     character.bake(damped)
     offsets = character.offsets()
     opened = np.abs(offsets[0] - offsets[-1]).max()
@@ -334,7 +346,7 @@ def slide(character, velocity: float, seconds_still: float, fps: float) -> None:
 def test_steady_motion_from_rest_comes_to_the_steady_answer(make_character):
     character = make_character(animate=False)
     slide(character, velocity=1.0, seconds_still=0.25, fps=24.0)
-    quick = ObjectSettings(motion=Settings(springs=SpringSettings(stiffness_range=(400.0, 400.0), damping_ratio=1.0)))
+    quick = springs(400.0, 1.0)
     character.bake(quick, FrameRange(start=0, end=48))
     offsets = np.abs(character.offsets()).max(axis=(1, 2))
     assert not offsets[:5].any()
@@ -357,7 +369,7 @@ def test_frame_rates_agree_in_seconds(make_character):
         character.bake(SOFT, FrameRange(start=0, end=frames))
         return np.arange(frames + 1) / rate, character.offsets()[:, tip, 0]
 
-    seconds, fine = track(480, 1.0)
+    seconds, fine = track(240, 1.0)
     for fps, base in ((24, 1.0), (30, 1.001), (30, 1.0), (60, 1.0)):
         times, offsets = track(fps, base)
         error = np.abs(offsets - np.interp(times, seconds, fine)).max() / np.abs(fine).max()
