@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import os
+import struct
 import tempfile
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -14,6 +16,22 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+#: What zipfile and NumPy raise on files that are cut short, damaged, encrypted or of another format.
+_DAMAGE = (
+    ValueError,
+    EOFError,
+    OSError,
+    KeyError,
+    RuntimeError,
+    MemoryError,
+    OverflowError,
+    SyntaxError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 def read_npz(path: Path | str) -> dict[str, NDArray[Any]]:
@@ -41,7 +59,7 @@ def read_npz(path: Path | str) -> dict[str, NDArray[Any]]:
         archive = np.load(path, allow_pickle=False)
     except FileNotFoundError:
         raise ValueError(f"{path}: found no such file, expected an .npz file") from None
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+    except _DAMAGE as error:
         raise ValueError(
             f"{path}: found no readable .npz archive, perhaps cut short or of another format ({error})"
         ) from None
@@ -52,15 +70,7 @@ def read_npz(path: Path | str) -> dict[str, NDArray[Any]]:
         for name in archive.files:
             try:
                 array = archive[name]
-            except (
-                ValueError,
-                EOFError,
-                OSError,
-                KeyError,
-                zipfile.BadZipFile,
-                zlib.error,
-                NotImplementedError,
-            ) as error:
+            except _DAMAGE as error:
                 raise ValueError(f"{path}: {name}: found no readable array, perhaps cut short ({error})") from None
             if not isinstance(array, np.ndarray):
                 raise ValueError(f"{path}: {name}: found something else than an array")

@@ -32,8 +32,8 @@ class SpringSettings:
         Mass factor where the mass group is painted 0 and 1, logarithmic between; both constants are divided by it.
     """
 
-    stiffness_range: tuple[float, float] = (80.0, 2000.0)
-    damping_ratio: float = 0.2
+    stiffness_range: tuple[float, float] = (250.0, 4000.0)
+    damping_ratio: float = 0.25
     damping: float | None = None
     mass_range: tuple[float, float] = (0.25, 4.0)
 

@@ -97,7 +97,7 @@ def _index(word: bytes, vertices_so_far: int) -> int:
         index = int(word.partition(b"/")[0])
     except ValueError:
         raise ValueError(f"found {_shown(word)} in a face, expected a vertex number") from None
-    if index == 0 or index < -vertices_so_far:
+    if index == 0 or not -vertices_so_far <= index <= 2**31:
         raise ValueError(f"found vertex {index} in a face, expected 1 and up, or -1 to {-vertices_so_far} from the end")
     return index - 1 if index > 0 else vertices_so_far + index
 

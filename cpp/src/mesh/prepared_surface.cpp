@@ -20,7 +20,8 @@ namespace {
 constexpr double kWeldDistance = 1e-6;  // of the longest side
 
 // Joins vertices closer than `distance`: each looks into its own bucket and those that its neighbourhood reaches.
-std::vector<Index> weld(ConstPositions vertices, const Eigen::Vector3d& origin, double distance, Index& count) {
+std::vector<Index> weld(ConstPositions vertices, const std::vector<char>& open, const Eigen::Vector3d& origin, double distance,
+                        Index& count) {
   using Key = std::array<std::int64_t, 3>;
   struct Hash {
     std::size_t operator()(const Key& key) const noexcept {
@@ -35,6 +36,7 @@ std::vector<Index> weld(ConstPositions vertices, const Eigen::Vector3d& origin, 
   std::vector<Index> next(static_cast<std::size_t>(vertices.rows()), -1);
   DisjointSets sets(static_cast<std::size_t>(vertices.rows()));
   for (Eigen::Index v = 0; v < vertices.rows(); ++v) {
+    if (!open[static_cast<std::size_t>(v)]) continue;
     const Eigen::Vector3d scaled = (Eigen::Vector3d(vertices.row(v)) - origin) / bucket;
     const double reach = distance / bucket;
     Key low, high;
@@ -93,6 +95,27 @@ void for_each_edge(const std::vector<DirectedEdge>& edges, Visit&& visit) {
     while (last < edges.size() && edges[last].low == edges[first].low && edges[last].high == edges[first].high) ++last;
     visit(first, last);
   }
+}
+
+// Vertices on a border: an edge with one face only. Where all faces around a vertex hang together, it has no seam to close, and one
+// that happens to lie in the same place belongs to another part of the body.
+std::vector<char> on_border(ConstTriangles triangles, Eigen::Index vertex_count) {
+  std::vector<DirectedEdge> edges;
+  edges.reserve(3 * static_cast<std::size_t>(triangles.rows()));
+  std::vector<char> border(static_cast<std::size_t>(vertex_count), 0);
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
+    const Index a = triangles(t, 0), b = triangles(t, 1), c = triangles(t, 2);
+    if (a == b || b == c || c == a) continue;
+    edges.push_back({std::min(a, b), std::max(a, b), static_cast<Index>(t), 1});
+    edges.push_back({std::min(b, c), std::max(b, c), static_cast<Index>(t), 1});
+    edges.push_back({std::min(c, a), std::max(c, a), static_cast<Index>(t), 1});
+  }
+  std::sort(edges.begin(), edges.end());
+  for_each_edge(edges, [&](std::size_t first, std::size_t last) {
+    if (last - first != 1) return;
+    border[static_cast<std::size_t>(edges[first].low)] = border[static_cast<std::size_t>(edges[first].high)] = 1;
+  });
+  return border;
 }
 
 struct Patches {
@@ -209,7 +232,8 @@ PreparedSurface prepare_surface(ConstPositions vertices, ConstTriangles triangle
 
   PreparedSurface surface;
   Index distinct = 0;
-  const std::vector<Index> labels = weld(vertices, bounds.min(), kWeldDistance * longest, distinct);
+  const std::vector<Index> labels =
+      weld(vertices, on_border(triangles, vertices.rows()), bounds.min(), kWeldDistance * longest, distinct);
   surface.welded = Eigen::Map<const Indices>(labels.data(), static_cast<Eigen::Index>(labels.size()));
   surface.vertices.resize(distinct, 3);
   for (Eigen::Index v = vertices.rows(); v-- > 0;) surface.vertices.row(labels[static_cast<std::size_t>(v)]) = vertices.row(v);

@@ -19,11 +19,11 @@ struct PreparedSurface {
 
 /// @brief Cleans a surface.
 ///
-/// Vertices closer than 1e-6 of the longest side are welded. Of faces with the same corners the first counts. Across edges of
-/// exactly two faces, orientation is carried on, by majority of area where that turns some faces round. A patch that is closed, or
-/// bent enough to enclose something, is turned so that its volume is positive; a flat one stays as it was. So every closed part is
-/// solid, whichever way it was turned, also inside another one: closed hollows count as filled, as they do when one fills from
-/// outside.
+/// Vertices on open borders are welded where they are closer than 1e-6 of the longest side. Of faces with the same corners the
+/// first counts. Across edges of exactly two faces, orientation is carried on, by majority of area where that turns some faces
+/// round. A patch that is closed, or bent enough to enclose something, is turned so that its volume is positive; a flat one stays
+/// as it was. So every closed part is solid, whichever way it was turned, also inside another one: closed hollows count as filled,
+/// as they do when one fills from outside.
 ///
 /// @throws InvalidInput naming `vertices` or `triangles`: empty, not finite, index out of range, no extent
 PreparedSurface prepare_surface(ConstPositions vertices, ConstTriangles triangles);

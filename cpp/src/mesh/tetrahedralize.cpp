@@ -10,6 +10,7 @@
 #include "disjoint_sets.hpp"
 #include "followthrough/errors.hpp"
 #include "followthrough/mesh/embedding.hpp"
+#include "part_splitting.hpp"
 #include "prepared_surface.hpp"
 #include "tet_weights.hpp"
 #include "triangle_tree.hpp"
@@ -18,29 +19,84 @@
 namespace followthrough {
 namespace {
 
-// The cube that holds each vertex of the surface: the cell that it lies in, or -1 where that was not kept.
+// Cells that hold a position, the one below first; several where it lies on a plane between them.
+std::vector<Index> cells_at(const Eigen::Vector3d& position, const VoxelGrid& grid) {
+  std::vector<Index> cells;
+  const Eigen::Vector3d at = grid.to_grid(position);
+  // A loose vertex may lie anywhere.
+  if ((at - grid.low.cast<double>()).minCoeff() < -1 || (at - (grid.low + grid.size).cast<double>()).maxCoeff() > 1) return cells;
+  for (int combination = 0; combination < 8; ++combination) {
+    Eigen::Vector3i cell;
+    bool another = true;
+    for (int axis = 0; axis < 3; ++axis) {
+      const double below = std::floor(at[axis] - kTouchDepth), above = std::floor(at[axis] + kTouchDepth);
+      const bool up = combination >> axis & 1;
+      another = another && !(up && above == below);
+      cell[axis] = static_cast<int>(up ? above : below);
+    }
+    if (another && grid.contains(cell)) cells.push_back(grid.number(cell));
+  }
+  return cells;
+}
+
+// The cube that holds each vertex of the surface: of the cell that it lies in, or -1 where that was not kept.
 std::vector<Index> cubes_of_vertices(ConstPositions vertices, const VoxelGrid& grid, const Cubes& cubes) {
   std::vector<Index> cube_of_cell(static_cast<std::size_t>(grid.count()), -1);
   for (std::size_t c = cubes.cells.size(); c-- > 0;) cube_of_cell[static_cast<std::size_t>(cubes.cells[c])] = static_cast<Index>(c);
   std::vector<Index> result(static_cast<std::size_t>(vertices.rows()), -1);
   for (Eigen::Index v = 0; v < vertices.rows(); ++v) {
-    const Eigen::Vector3d at = grid.to_grid(vertices.row(v));
-    if ((at - grid.low.cast<double>()).minCoeff() < -1 || (at - (grid.low + grid.size).cast<double>()).maxCoeff() > 1) continue;
-    // On a plane between two cells the first kept one counts.
-    for (int combination = 0; combination < 8; ++combination) {
-      Eigen::Vector3i cell;
-      bool wanted = true;
-      for (int axis = 0; axis < 3; ++axis) {
-        const double below = at[axis] - kTouchDepth, above = at[axis] + kTouchDepth;
-        cell[axis] = static_cast<int>(std::floor(combination >> axis & 1 ? above : below));
-        if ((combination >> axis & 1) && std::floor(above) == std::floor(below)) wanted = false;
-      }
-      if (!wanted || !grid.contains(cell)) continue;
-      result[static_cast<std::size_t>(v)] = cube_of_cell[static_cast<std::size_t>(grid.number(cell))];
-      if (result[static_cast<std::size_t>(v)] >= 0) break;
+    for (const Index cell : cells_at(vertices.row(v), grid)) {
+      if (result[static_cast<std::size_t>(v)] < 0)
+        result[static_cast<std::size_t>(v)] = cube_of_cell[static_cast<std::size_t>(cell)];
     }
   }
   return result;
+}
+
+// Where parts were split: the cube that carries the vertex's own triangles. Welded vertices share it.
+void choose_own_cubes(const PreparedSurface& surface, const Voxels& voxels, const std::vector<Index>& touch_cubes,
+                      std::vector<Index>& cubes) {
+  std::vector<std::vector<Index>> around(static_cast<std::size_t>(surface.vertices.rows()));
+  for (Eigen::Index t = 0; t < surface.triangles.rows(); ++t) {
+    for (int k = 0; k < 3; ++k) around[static_cast<std::size_t>(surface.triangles(t, k))].push_back(static_cast<Index>(t));
+  }
+  std::vector<Index> own(around.size(), -1);
+  for (std::size_t v = 0; v < around.size(); ++v) {
+    for (const Index cell : cells_at(surface.vertices.row(static_cast<Eigen::Index>(v)), voxels.grid)) {
+      const auto first = voxels.touch_triangles.begin() + voxels.touch_offsets[static_cast<std::size_t>(cell)];
+      const auto last = voxels.touch_triangles.begin() + voxels.touch_offsets[static_cast<std::size_t>(cell) + 1];
+      for (const Index t : around[v]) {
+        const auto found = std::lower_bound(first, last, t);
+        if (own[v] < 0 && found != last && *found == t) {
+          own[v] = touch_cubes[static_cast<std::size_t>(found - voxels.touch_triangles.begin())];
+        }
+      }
+    }
+  }
+  for (std::size_t v = 0; v < cubes.size(); ++v) {
+    const Index cube = own[static_cast<std::size_t>(surface.welded[static_cast<Eigen::Index>(v)])];
+    if (cube >= 0) cubes[v] = cube;
+  }
+}
+
+// Lists for each vertex of the volume the surface's triangles that its cubes carry.
+void list_own_triangles(const PreparedSurface& surface, const Voxels& voxels, const std::vector<Index>& touch_cubes,
+                        const CubeTets& cut, TetVolume& volume) {
+  std::vector<std::vector<Index>> own(static_cast<std::size_t>(cut.vertices.rows()));
+  for (std::size_t touch = 0; touch < touch_cubes.size(); ++touch) {
+    for (const Index vertex : cut.corners[static_cast<std::size_t>(touch_cubes[touch])]) {
+      own[static_cast<std::size_t>(vertex)].push_back(surface.sources[voxels.touch_triangles[touch]]);
+    }
+  }
+  volume.own_offsets = Indices::Zero(cut.vertices.rows() + 1);
+  std::vector<Index> all;
+  for (std::size_t v = 0; v < own.size(); ++v) {
+    std::sort(own[v].begin(), own[v].end());
+    own[v].erase(std::unique(own[v].begin(), own[v].end()), own[v].end());
+    all.insert(all.end(), own[v].begin(), own[v].end());
+    volume.own_offsets[static_cast<Eigen::Index>(v) + 1] = static_cast<Index>(all.size());
+  }
+  volume.own_triangles = Eigen::Map<const Indices>(all.data(), static_cast<Eigen::Index>(all.size()));
 }
 
 // Embeds each vertex in the best of its cube's six tets; vertices without a cube (loose ones) in the nearest tet there is.
@@ -85,14 +141,24 @@ TetVolume tetrahedralize(ConstPositions vertices, ConstTriangles triangles, cons
   const TriangleTree tree(surface.vertices, surface.triangles);
   const Voxels voxels = voxelize(surface, tree, grid);
 
-  const Cubes cubes = plain_cubes(voxels);
-  CubeTets cut = cut_cubes(grid, cubes);
+  SplitCubes split;
+  if (settings.split_parts) {
+    split = split_parts(surface, tree, voxels);
+  } else {
+    split.cubes = plain_cubes(voxels);
+  }
+  CubeTets cut = cut_cubes(grid, split.cubes);
+  std::vector<Index> carriers = cubes_of_vertices(vertices, grid, split.cubes);
   TetVolume volume;
+  if (settings.split_parts) {
+    choose_own_cubes(surface, voxels, split.touch_cubes, carriers);
+    list_own_triangles(surface, voxels, split.touch_cubes, cut, volume);
+  }
   volume.vertices = std::move(cut.vertices);
   volume.tets = std::move(cut.tets);
-  volume.cell_count = static_cast<Index>(cubes.cells.size());
+  volume.cell_count = static_cast<Index>(split.cubes.cells.size());
   volume.cell_size = grid.edge;
-  embed_in_cubes(vertices, cubes_of_vertices(vertices, grid, cubes), volume);
+  embed_in_cubes(vertices, carriers, volume);
   return volume;
 }
 

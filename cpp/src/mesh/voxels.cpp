@@ -139,9 +139,28 @@ void fill_open(const TriangleTree& tree, Voxels& voxels) {
   }
 }
 
+void add_touches(std::vector<std::pair<Index, Index>> more, Voxels& voxels) {
+  if (more.empty()) return;
+  for (Index cell = 0; cell < voxels.grid.count(); ++cell) {
+    for (Index row = voxels.touch_offsets[static_cast<std::size_t>(cell)];
+         row < voxels.touch_offsets[static_cast<std::size_t>(cell) + 1]; ++row) {
+      more.emplace_back(cell, voxels.touch_triangles[static_cast<std::size_t>(row)]);
+    }
+  }
+  std::sort(more.begin(), more.end());
+  voxels.touch_triangles.clear();
+  std::fill(voxels.touch_offsets.begin(), voxels.touch_offsets.end(), 0);
+  for (const auto& [cell, triangle] : more) {
+    ++voxels.touch_offsets[static_cast<std::size_t>(cell) + 1];
+    voxels.touch_triangles.push_back(triangle);
+  }
+  for (std::size_t k = 1; k < voxels.touch_offsets.size(); ++k) voxels.touch_offsets[k] += voxels.touch_offsets[k - 1];
+}
+
 // A sheet in a grid plane: move it a little to its inner side and keep the cells that it then touches.
 void keep_beside_flat(const PreparedSurface& surface, const std::vector<Index>& flat, Voxels& voxels) {
   const VoxelGrid& grid = voxels.grid;
+  std::vector<std::pair<Index, Index>> more;
   for (const Index t : flat) {
     const auto corners = grid_corners(surface, grid, t);
     const Eigen::Vector3d normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
@@ -168,9 +187,11 @@ void keep_beside_flat(const PreparedSurface& surface, const std::vector<Index>& 
         for (int axis = 0; axis < 3; ++axis) other[axis] += (combination >> axis & 1) * step[axis];
         if (grid.contains(other) && voxels.kept[static_cast<std::size_t>(grid.number(other))]) return;
       }
-      voxels.kept[static_cast<std::size_t>(grid.number(cell))] = 1;
+      more.emplace_back(grid.number(cell), t);
     });
+    for (const auto& [cell, triangle] : more) voxels.kept[static_cast<std::size_t>(cell)] = 1;
   }
+  add_touches(more, voxels);
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 #include "skinning/bone_blend.hpp"
 
 #include <cmath>
+#include <limits>
 #include <string>
 
 #include "followthrough/errors.hpp"
@@ -140,7 +141,7 @@ void BoneBlend::prepare_dual_quaternions(const PosedBones& bones) {
 
 bool BoneBlend::bone_row(Index index, double weight, Eigen::Index& row) const {
   row = index == no_bone ? bone_count_ : index;
-  return std::isfinite(weight) && weight >= 0.0 && row >= 0 && row <= bone_count_ && index != bone_count_;
+  return weight > 0.0 && weight <= std::numeric_limits<double>::max() && row >= 0 && row <= bone_count_ && index != bone_count_;
 }
 
 VertexTransform BoneBlend::linear_transform(Eigen::Index vertex, bool& valid) const {
@@ -160,8 +161,9 @@ VertexTransform BoneBlend::linear_transform(Eigen::Index vertex, bool& valid) co
     total += weight;
   }
   if (!(total > least_total_weight)) return {Matrix3d::Identity(), Vector3d::Zero()};
+  sum *= 1.0 / total;
   const Eigen::Map<const Matrix34> blended(sum.data());
-  return {blended.leftCols<3>() / total, blended.col(3) / total};
+  return {blended.leftCols<3>(), blended.col(3)};
 }
 
 VertexTransform BoneBlend::dual_quaternion_transform(Eigen::Index vertex, bool& valid) const {
@@ -186,17 +188,26 @@ VertexTransform BoneBlend::dual_quaternion_transform(Eigen::Index vertex, bool& 
   if (!(total > least_total_weight)) return {Matrix3d::Identity(), Vector3d::Zero()};
 
   // The weights' total cancels: rotation and translation are both quotients of squares of the sum.
-  const Quaterniond q(sum[0], sum[1], sum[2], sum[3]);
-  const double squared_norm = q.squaredNorm();
+  const double w = sum[0];
+  const Vector3d v = sum.segment<3>(1);
+  const double inverse_square = 1.0 / sum.head<4>().squaredNorm();
   const Eigen::Map<const Matrix4> dual(sum.data() + 4);
-  // Vector part of dual * conjugate(q), column by column.
-  Matrix34 moved = q.w() * dual.bottomRows<3>() - q.vec() * dual.row(0);
-  for (int column = 0; column < 4; ++column) {
-    const Vector3d part = dual.col(column).tail<3>();
-    moved.col(column) += q.vec().cross(part);
-  }
-  moved /= squared_norm;
-  const Matrix3d rotation = Quaterniond(q.coeffs() / std::sqrt(squared_norm)).toRotationMatrix();
+  // Vector part of dual * conjugate(q), column by column, and the rotation, both over the square of q.
+  Matrix34 moved = w * dual.bottomRows<3>() - v * dual.row(0);
+  moved.row(0) += v.y() * dual.row(3) - v.z() * dual.row(2);
+  moved.row(1) += v.z() * dual.row(1) - v.x() * dual.row(3);
+  moved.row(2) += v.x() * dual.row(2) - v.y() * dual.row(1);
+  moved *= inverse_square;
+  const Vector3d turn = 2.0 * inverse_square * v;
+  const Vector3d around = w * turn;
+  Matrix3d rotation = turn * v.transpose();
+  rotation.diagonal().array() += 1.0 - turn.dot(v);
+  rotation(2, 1) += around.x();
+  rotation(1, 2) -= around.x();
+  rotation(0, 2) += around.y();
+  rotation(2, 0) -= around.y();
+  rotation(1, 0) += around.z();
+  rotation(0, 1) -= around.z();
   if (blends_in_object_space_) return {rotation + moved.leftCols<3>(), moved.col(3)};
   return {from_blend_ * (rotation * to_blend_ + moved.leftCols<3>()), from_blend_ * moved.col(3)};
 }

@@ -107,7 +107,10 @@ SpringCoefficients spring_coefficients(double stiffness, double damping, double 
       k.acceleration_slope = (mean_of_mean_of_exponential(slow) - mean_of_mean_of_exponential(fast)) / gap;
     }
   } else {
-    const TwoPart phase = root_times({-d.high, -d.low}, duration);
+    TwoPart phase = root_times({-d.high, -d.low}, duration);
+    if (phase.high > 1e15) {
+      phase.low = 0.0;  // not even the turn is known any more: any phase will do, but it must be one
+    }
     const double cosine = std::cos(phase.high) - phase.low * std::sin(phase.high);
     const double sine = std::sin(phase.high) + phase.low * std::cos(phase.high);
     const double envelope = std::exp(-half);

@@ -14,8 +14,10 @@
 namespace followthrough {
 namespace {
 
-// Vertices a thread takes at a time; smaller meshes are not worth waking other threads for.
+// Vertices a thread takes at a time.
 constexpr Eigen::Index block = 2048;
+// Below so many blocks a step takes less time than waking and joining other threads may.
+constexpr Eigen::Index blocks_worth_threads = 16;
 
 struct Kernels {
   decltype(&baseline::springs_step) step;
@@ -40,23 +42,26 @@ Kernels kernels() {
 template <typename Work>
 void for_blocks(Eigen::Index count, const Work& work) {
   const Eigen::Index blocks = (count + block - 1) / block;
-#pragma omp parallel for schedule(static) if (blocks > 2)
+#pragma omp parallel for schedule(static) if (blocks >= blocks_worth_threads)
   for (Eigen::Index b = 0; b < blocks; ++b) {
     work(b * block, std::min((b + 1) * block, count));
   }
 }
 
-void require_finite_quickly(const char* name, const double* values, Eigen::Index vertices) {
+// Both references in one pass over the threads; null: none. Slow only where there is something to complain about.
+void require_finite_references(const double* reference, const double* next_reference, Eigen::Index vertices) {
   const auto all_finite = kernels().all_finite;
   const Eigen::Index blocks = (vertices + block - 1) / block;
   bool finite = true;
-#pragma omp parallel for schedule(static) reduction(&& : finite) if (blocks > 2)
+#pragma omp parallel for schedule(static) reduction(&& : finite) if (blocks >= blocks_worth_threads)
   for (Eigen::Index b = 0; b < blocks; ++b) {
-    const Eigen::Index first = b * block;
-    finite = all_finite(values + 3 * first, 3 * (std::min(first + block, vertices) - first)) && finite;
+    const Eigen::Index first = 3 * b * block;
+    const Eigen::Index count = std::min(3 * block, 3 * vertices - first);
+    finite = finite && all_finite(reference + first, count) && (!next_reference || all_finite(next_reference + first, count));
   }
   if (!finite) {
-    require_finite(name, Eigen::Map<const Positions>(values, vertices, 3));
+    require_finite("reference", Eigen::Map<const Positions>(reference, vertices, 3));
+    require_finite("next_reference", Eigen::Map<const Positions>(next_reference, vertices, 3));
   }
 }
 
@@ -132,7 +137,7 @@ void Springs::reset(ConstPositions reference) {
   require_rows("reference", reference.rows(), vertex_count());
   {
     const DenseRows rows(reference, nullptr);
-    require_finite_quickly("reference", rows.data(), vertex_count());
+    require_finite_references(rows.data(), nullptr, vertex_count());
   }
   reference_ = reference;
   before_ = reference_;
@@ -145,10 +150,7 @@ const Positions& Springs::step(ConstPositions reference, const Positions* next_r
   require_references(reference, next_reference);
   const DenseRows end(reference, positions_.data());
   const DenseRows after(next_reference ? ConstPositions(*next_reference) : reference, positions_.data());
-  require_finite_quickly("reference", end.data(), vertex_count());
-  if (next_reference) {
-    require_finite_quickly("next_reference", after.data(), vertex_count());
-  }
+  require_finite_references(end.data(), next_reference ? after.data() : nullptr, vertex_count());
   const Eigen::Index count = vertex_count();
   SpringsStep frame{};
   frame.positions = positions_.data();

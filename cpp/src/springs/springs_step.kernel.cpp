@@ -1,70 +1,130 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
+// Positions are three numbers a vertex and factors one, which compilers do not vectorise by themselves: factors of as many vertices
+// as a register has lanes are loaded once and spread over the three registers of those vertices' positions. Every number goes
+// through the same operations in the same order whatever the width, so all instruction sets give the same bits.
 #include "springs/springs_step.hpp"
 
-#if defined(_MSC_VER) || defined(__GNUC__)
-#define FOLLOWTHROUGH_RESTRICT __restrict
-#else
-#define FOLLOWTHROUGH_RESTRICT
+#if defined(__has_builtin)
+#if __has_builtin(__builtin_shufflevector)
+#define FOLLOWTHROUGH_VECTORS
+#endif
 #endif
 
 namespace followthrough::FOLLOWTHROUGH_ISA {
+namespace {
 
-void springs_step(const SpringsStep& frame, std::int64_t first, std::int64_t last) noexcept {
-  double* FOLLOWTHROUGH_RESTRICT positions = frame.positions;
-  double* FOLLOWTHROUGH_RESTRICT velocities = frame.velocities;
-  double* FOLLOWTHROUGH_RESTRICT before = frame.before;
-  const double* FOLLOWTHROUGH_RESTRICT start = frame.start;
-  const double* FOLLOWTHROUGH_RESTRICT end = frame.end;
-  const double* FOLLOWTHROUGH_RESTRICT after = frame.after;
-  const double* FOLLOWTHROUGH_RESTRICT decay = frame.decay;
-  const double* FOLLOWTHROUGH_RESTRICT impulse = frame.impulse;
-  const double* FOLLOWTHROUGH_RESTRICT impulse_slope = frame.impulse_slope;
-  const double* FOLLOWTHROUGH_RESTRICT restoring = frame.restoring;
-  const double* FOLLOWTHROUGH_RESTRICT acceleration = frame.acceleration;
-  const double* FOLLOWTHROUGH_RESTRICT acceleration_slope = frame.acceleration_slope;
-  const double start_slope = frame.start_slope;
-  const double end_slope = frame.end_slope;
-  const double duration = frame.duration;
-  const double rate = 1.0 / duration;
-  for (std::int64_t v = first; v < last; ++v) {
-    for (int c = 0; c < 3; ++c) {
-      const std::int64_t i = 3 * v + c;
-      const double reference = end[i];
-      const double step = reference - start[i];
-      const double slope0 = start_slope * (reference - before[i]);
-      const double slope1 = end_slope * (after[i] - start[i]);
-      // The cubic's acceleration over the frame is constant + linear * s ([ZS] eqs. 2 to 4), a frame squared.
-      const double bend = slope0 + slope1 - (step + step);
-      const double linear = 6.0 * bend;
-      const double constant = (slope1 - slope0) - 3.0 * bend;
-      const double lag = positions[i] - start[i];
-      const double lag_rate = velocities[i] * duration - slope0;
-      before[i] = reference;
-      positions[i] =
-          reference + ((decay[v] * lag + impulse[v] * lag_rate) - (acceleration[v] * constant + acceleration_slope[v] * linear));
-      velocities[i] =
-          rate *
-          (slope1 + ((impulse_slope[v] * lag_rate - restoring[v] * lag) - (impulse[v] * constant + acceleration[v] * linear)));
+// One number of a position, or a register of them; Number is double or a vector of doubles.
+template <typename Number>
+struct Moved {
+  Number position, velocity;
+};
+
+template <typename Number>
+inline Moved<Number> moved(const SpringsStep& frame, double rate, Number position, Number velocity, Number before, Number start,
+                           Number end, Number after, Number decay, Number impulse, Number impulse_slope, Number restoring,
+                           Number acceleration, Number acceleration_slope) {
+  const Number step = end - start;
+  const Number slope0 = frame.start_slope * (end - before);
+  const Number slope1 = frame.end_slope * (after - start);
+  // The cubic's acceleration over the frame is constant + linear * s ([ZS] eqs. 2 to 4), in units a frame squared.
+  const Number bend = slope0 + slope1 - (step + step);
+  const Number linear = 6.0 * bend;
+  const Number constant = (slope1 - slope0) - 3.0 * bend;
+  const Number lag = position - start;
+  const Number lag_rate = velocity * frame.duration - slope0;
+  return {end + ((decay * lag + impulse * lag_rate) - (acceleration * constant + acceleration_slope * linear)),
+          rate * (slope1 + ((impulse_slope * lag_rate - restoring * lag) - (impulse * constant + acceleration * linear)))};
+}
+
+#ifdef FOLLOWTHROUGH_VECTORS
+#if defined(__AVX512F__)
+constexpr int lanes = 8;
+#define FOLLOWTHROUGH_SPREAD0(f) __builtin_shufflevector(f, f, 0, 0, 0, 1, 1, 1, 2, 2)
+#define FOLLOWTHROUGH_SPREAD1(f) __builtin_shufflevector(f, f, 2, 3, 3, 3, 4, 4, 4, 5)
+#define FOLLOWTHROUGH_SPREAD2(f) __builtin_shufflevector(f, f, 5, 5, 6, 6, 6, 7, 7, 7)
+#elif defined(__AVX__)
+constexpr int lanes = 4;
+#define FOLLOWTHROUGH_SPREAD0(f) __builtin_shufflevector(f, f, 0, 0, 0, 1)
+#define FOLLOWTHROUGH_SPREAD1(f) __builtin_shufflevector(f, f, 1, 1, 2, 2)
+#define FOLLOWTHROUGH_SPREAD2(f) __builtin_shufflevector(f, f, 2, 3, 3, 3)
+#else
+constexpr int lanes = 2;
+#define FOLLOWTHROUGH_SPREAD0(f) __builtin_shufflevector(f, f, 0, 0)
+#define FOLLOWTHROUGH_SPREAD1(f) __builtin_shufflevector(f, f, 0, 1)
+#define FOLLOWTHROUGH_SPREAD2(f) __builtin_shufflevector(f, f, 1, 1)
+#endif
+using Lanes = double __attribute__((vector_size(8 * lanes)));
+using LanesInMemory = double __attribute__((vector_size(8 * lanes), aligned(8), may_alias));
+
+inline Lanes load(const double* place) { return *reinterpret_cast<const LanesInMemory*>(place); }
+inline void store(double* place, Lanes values) { *reinterpret_cast<LanesInMemory*>(place) = values; }
+
+inline void move_lanes(const SpringsStep& frame, double rate, std::int64_t i, Lanes decay, Lanes impulse, Lanes impulse_slope,
+                       Lanes restoring, Lanes acceleration, Lanes acceleration_slope) {
+  const Lanes end = load(frame.end + i);
+  const Moved<Lanes> now = moved<Lanes>(frame, rate, load(frame.positions + i), load(frame.velocities + i), load(frame.before + i),
+                                        load(frame.start + i), end, load(frame.after + i), decay, impulse, impulse_slope, restoring,
+                                        acceleration, acceleration_slope);
+  store(frame.before + i, end);
+  store(frame.positions + i, now.position);
+  store(frame.velocities + i, now.velocity);
+}
+#endif
+
+}  // namespace
+
+void springs_step(const SpringsStep& arrays, std::int64_t first, std::int64_t last) noexcept {
+  const SpringsStep frame = arrays;  // nobody else writes this copy, so its pointers stay in registers
+  const double rate = 1.0 / frame.duration;
+  std::int64_t v = first;
+#ifdef FOLLOWTHROUGH_VECTORS
+  for (; v + lanes <= last; v += lanes) {
+    const Lanes decay = load(frame.decay + v);
+    const Lanes impulse = load(frame.impulse + v);
+    const Lanes impulse_slope = load(frame.impulse_slope + v);
+    const Lanes restoring = load(frame.restoring + v);
+    const Lanes acceleration = load(frame.acceleration + v);
+    const Lanes acceleration_slope = load(frame.acceleration_slope + v);
+    move_lanes(frame, rate, 3 * v, FOLLOWTHROUGH_SPREAD0(decay), FOLLOWTHROUGH_SPREAD0(impulse),
+               FOLLOWTHROUGH_SPREAD0(impulse_slope), FOLLOWTHROUGH_SPREAD0(restoring), FOLLOWTHROUGH_SPREAD0(acceleration),
+               FOLLOWTHROUGH_SPREAD0(acceleration_slope));
+    move_lanes(frame, rate, 3 * v + lanes, FOLLOWTHROUGH_SPREAD1(decay), FOLLOWTHROUGH_SPREAD1(impulse),
+               FOLLOWTHROUGH_SPREAD1(impulse_slope), FOLLOWTHROUGH_SPREAD1(restoring), FOLLOWTHROUGH_SPREAD1(acceleration),
+               FOLLOWTHROUGH_SPREAD1(acceleration_slope));
+    move_lanes(frame, rate, 3 * v + 2 * lanes, FOLLOWTHROUGH_SPREAD2(decay), FOLLOWTHROUGH_SPREAD2(impulse),
+               FOLLOWTHROUGH_SPREAD2(impulse_slope), FOLLOWTHROUGH_SPREAD2(restoring), FOLLOWTHROUGH_SPREAD2(acceleration),
+               FOLLOWTHROUGH_SPREAD2(acceleration_slope));
+  }
+#endif
+  for (; v < last; ++v) {
+    for (std::int64_t i = 3 * v; i < 3 * v + 3; ++i) {
+      const double end = frame.end[i];
+      const Moved<double> now = moved<double>(frame, rate, frame.positions[i], frame.velocities[i], frame.before[i], frame.start[i],
+                                              end, frame.after[i], frame.decay[v], frame.impulse[v], frame.impulse_slope[v],
+                                              frame.restoring[v], frame.acceleration[v], frame.acceleration_slope[v]);
+      frame.before[i] = end;
+      frame.positions[i] = now.position;
+      frame.velocities[i] = now.velocity;
     }
   }
 }
 
 bool all_finite(const double* values, std::int64_t count) noexcept {
   // Zero times a number is zero, times infinity or NaN is NaN, which no further addition removes.
-  constexpr int lanes = 32;
-  double sums[lanes] = {};
+  constexpr int sums_count = 32;
+  double sums[sums_count] = {};
   std::int64_t i = 0;
-  for (; i + lanes <= count; i += lanes) {
-    for (int lane = 0; lane < lanes; ++lane) {
-      sums[lane] += values[i + lane] * 0.0;
+  for (; i + sums_count <= count; i += sums_count) {
+    for (int k = 0; k < sums_count; ++k) {
+      sums[k] += values[i + k] * 0.0;
     }
   }
   double sum = 0.0;
   for (; i < count; ++i) {
     sum += values[i] * 0.0;
   }
-  for (int lane = 0; lane < lanes; ++lane) {
-    sum += sums[lane];
+  for (int k = 0; k < sums_count; ++k) {
+    sum += sums[k];
   }
   return sum == 0.0;
 }
