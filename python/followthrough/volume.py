@@ -136,7 +136,7 @@ def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None
             # Inside the flesh the bones hold; where the surface hangs on a vertex, the painted group decides.
             inside = np.ones(len(tet_mesh.vertices), dtype=bool)
             inside[np.unique(corners)] = False
-            segments = surface.rig.bone_segments @ surface.object_scale.T
+            segments = surface.rig.holding_segments @ surface.object_scale.T
             pins[inside & (distances_to_segments(tet_mesh.vertices, segments) <= radius)] = 1.0
     else:
         follower = mesh.SurfaceFollower(surface.rest_positions, surface.triangles, tet_mesh, surface.object_scale)

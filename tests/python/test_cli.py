@@ -14,7 +14,7 @@ import pytest
 import followthrough
 from followthrough import cli
 from followthrough.sequences import Sequence
-from followthrough.simulation import DEFAULT_STIFFNESS
+from followthrough.simulation import DEFAULT_DAMPING_RATIO, DEFAULT_STIFFNESS
 
 FRAMES, VERTICES = 20, 6
 
@@ -69,7 +69,7 @@ def test_constants_from_numbers_a_file_or_the_defaults_are_the_same_thing(
     sequence: Path, output: Path, tmp_path: Path
 ) -> None:
     springs = tmp_path / "springs.npz"
-    damping = 2 * 0.2 * np.sqrt(DEFAULT_STIFFNESS)
+    damping = 2 * DEFAULT_DAMPING_RATIO * np.sqrt(DEFAULT_STIFFNESS)
     np.savez(springs, ks=np.full(VERTICES, DEFAULT_STIFFNESS), kd=np.full(VERTICES, damping))
     results = []
     for options in (

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Protocol
+from typing import Any, Protocol
 
 import bpy
 import numpy as np
@@ -61,14 +61,25 @@ def with_skeleton(obj: bpy.types.Object, surface: Surface) -> Surface:
         )
     to_mesh = np.linalg.inv(_matrix(obj)) @ _matrix(armature)
     ends = np.array([[bone.head_local, bone.tail_local] for bone in (armature.data.bones[name] for name in bones)])
+    joints = np.array(_joint_lines(armature, bones))
     rig = Rig(
         bone_indices=indices,
         bone_weights=weights,
         bone_segments=ends @ to_mesh[:3, :3].T + to_mesh[:3, 3],
         skinning="dual-quaternion" if modifier is not None and modifier.use_deform_preserve_volume else "linear",
         bone_rest_matrices=np.array([armature.data.bones[name].matrix_local for name in bones], dtype=np.float64),
+        skeleton=joints @ to_mesh[:3, :3].T + to_mesh[:3, 3],
     )
     return dataclasses.replace(surface, rig=rig)
+
+
+def _joint_lines(armature: bpy.types.Object, names: list[str]) -> list[list[Any]]:
+    """From every bone's head to its children's heads, to its own tail where it is the last: an importer's tails point anywhere."""
+    lines = []
+    for bone in (armature.data.bones[name] for name in names):
+        children = [child.head_local for child in bone.children if child.name in names]
+        lines += [[bone.head_local, end] for end in children or [bone.tail_local]]
+    return lines
 
 
 def weighted_bones(obj: bpy.types.Object, armature: bpy.types.Object) -> list[str]:
