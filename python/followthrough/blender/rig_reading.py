@@ -74,7 +74,10 @@ def with_skeleton(obj: bpy.types.Object, surface: Surface) -> Surface:
 
 
 def _joint_lines(armature: bpy.types.Object, names: list[str]) -> list[list[Any]]:
-    """From every bone's head to its children's heads, to its own tail where it is the last: an importer's tails point anywhere."""
+    """From every bone's head to its children's heads, to its own tail where it is the last.
+
+    Other tails do not count: importers let them point anywhere.
+    """
     lines = []
     for bone in (armature.data.bones[name] for name in names):
         children = [child.head_local for child in bone.children if child.name in names]

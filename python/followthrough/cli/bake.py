@@ -129,6 +129,12 @@ def run(args: argparse.Namespace) -> int:
     settings = blender.ObjectSettings(motion=motion, groups=groups)
     files.require_output(args.output)
     imported = files.open_file(args.input)
+    if bpy.app.autoexec_fail:
+        print(
+            "followthrough: the file has Python drivers or scripts that Blender's preferences do not let run "
+            f"({bpy.app.autoexec_fail_message}); what they move is baked without them",
+            file=sys.stderr,
+        )
     chosen = _choose(args.object)
     frame_range: tuple[int, int] | None = None
     if args.action is not None or imported:
