@@ -238,3 +238,12 @@ def test_interrupted_it_leaves_nothing_behind(tmp_path: Path, output: Path) -> N
     assert process.returncode == 130, (out, err)
     assert b"Traceback" not in err and b"interrupted, nothing written" in err
     assert list(output.parent.iterdir()) == []
+
+
+def test_inside_blender_arguments_come_after_two_dashes(
+    sequence: Path, output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = ["simulate", str(sequence), "--quiet", "-o", str(output)]
+    monkeypatch.setattr("sys.argv", ["blender", "--background", "--python-expr", "main()", "--", *own])
+    assert cli.main() == 0
+    assert output.exists()
