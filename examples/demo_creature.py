@@ -413,7 +413,7 @@ def make_creature(vertices: int = 9000) -> Creature:
     low, high = np.array([0.0, -0.45, 0.0]), np.array([0.72, 0.86, 1.84])
     body, quads = polygonise(body_field, low, high, cell)
     while not is_closed(quads):  # two sheets of skin met in one cell of the grid: another grid parts them
-        cell *= 0.99
+        cell *= 1.003
         body, quads = polygonise(body_field, low, high, cell)
     edges = edges_of(quads)
     slope = gradient(body_field, body)
