@@ -32,6 +32,9 @@ class Rig:
     bone_rest_matrices : (b, 4, 4) float64 or None
         From a bone's own axes to the armature's space at rest (`Bone.matrix_local`). Dual quaternions need them where
         bones are scaled unevenly.
+    skeleton : (s, 2, 3) float64 or None
+        Lines in the mesh's object space along which the flesh is held, where they are not the bones' own segments: imported
+        bones often point elsewhere than to the next joint. None: `bone_segments`.
     """
 
     bone_indices: IntArray
@@ -39,6 +42,12 @@ class Rig:
     bone_segments: FloatArray
     skinning: Skinning = "linear"
     bone_rest_matrices: FloatArray | None = None
+    skeleton: FloatArray | None = None
+
+    @property
+    def holding_segments(self) -> FloatArray:
+        """(s, 2, 3): `skeleton`, or the bones' own segments."""
+        return self.bone_segments if self.skeleton is None else self.skeleton
 
 
 @dataclass(frozen=True)
@@ -146,10 +155,10 @@ def flesh_thickness(surface: Surface) -> float:
 
     0 where there is no armature.
     """
-    if surface.rig is None or not len(surface.rig.bone_segments):
+    if surface.rig is None or not len(surface.rig.holding_segments):
         return 0.0
     scale = surface.object_scale.T
-    distances = distances_to_segments(surface.rest_positions @ scale, surface.rig.bone_segments @ scale)
+    distances = distances_to_segments(surface.rest_positions @ scale, surface.rig.holding_segments @ scale)
     return float(np.percentile(distances, 95))
 
 
@@ -164,7 +173,7 @@ def suggest_paint(surface: Surface) -> Paint:
     if surface.rig is None or thickness <= 0:
         return Paint(stiffness=neutral, mass=neutral.copy(), pins=np.zeros(count))
     scale = surface.object_scale.T
-    depth = distances_to_segments(surface.rest_positions @ scale, surface.rig.bone_segments @ scale) / thickness
+    depth = distances_to_segments(surface.rest_positions @ scale, surface.rig.holding_segments @ scale) / thickness
     fade = np.clip((0.6 - depth) / (0.6 - 0.35), 0.0, 1.0)
     return Paint(
         stiffness=np.clip(1.25 - depth, 0.0, 1.0),

@@ -15,7 +15,6 @@ from followthrough.character import (
     IntArray,
     Paint,
     Pose,
-    SampledPose,
     Surface,
     distances_to_segments,
     flesh_thickness,
@@ -136,7 +135,7 @@ def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None
             # Inside the flesh the bones hold; where the surface hangs on a vertex, the painted group decides.
             inside = np.ones(len(tet_mesh.vertices), dtype=bool)
             inside[np.unique(corners)] = False
-            segments = surface.rig.bone_segments @ surface.object_scale.T
+            segments = surface.rig.holding_segments @ surface.object_scale.T
             pins[inside & (distances_to_segments(tet_mesh.vertices, segments) <= radius)] = 1.0
     else:
         follower = mesh.SurfaceFollower(surface.rest_positions, surface.triangles, tet_mesh, surface.object_scale)
@@ -154,7 +153,5 @@ def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None
 
 
 def _transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
-    return points @ matrix[:3, :3].T + matrix[:3, 3]
-
-
-__all__ = ["HARD_PIN", "SampledPose", "Volume", "build_volume"]
+    moved: FloatArray = points @ matrix[:3, :3].T + matrix[:3, 3]
+    return moved

@@ -14,7 +14,7 @@ import pytest
 import followthrough
 from followthrough import cli
 from followthrough.sequences import Sequence
-from followthrough.simulation import DEFAULT_STIFFNESS
+from followthrough.simulation import DEFAULT_DAMPING_RATIO, DEFAULT_STIFFNESS
 
 FRAMES, VERTICES = 20, 6
 
@@ -69,7 +69,7 @@ def test_constants_from_numbers_a_file_or_the_defaults_are_the_same_thing(
     sequence: Path, output: Path, tmp_path: Path
 ) -> None:
     springs = tmp_path / "springs.npz"
-    damping = 2 * 0.2 * np.sqrt(DEFAULT_STIFFNESS)
+    damping = 2 * DEFAULT_DAMPING_RATIO * np.sqrt(DEFAULT_STIFFNESS)
     np.savez(springs, ks=np.full(VERTICES, DEFAULT_STIFFNESS), kd=np.full(VERTICES, damping))
     results = []
     for options in (
@@ -238,3 +238,12 @@ def test_interrupted_it_leaves_nothing_behind(tmp_path: Path, output: Path) -> N
     assert process.returncode == 130, (out, err)
     assert b"Traceback" not in err and b"interrupted, nothing written" in err
     assert list(output.parent.iterdir()) == []
+
+
+def test_inside_blender_arguments_come_after_two_dashes(
+    sequence: Path, output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = ["simulate", str(sequence), "--quiet", "-o", str(output)]
+    monkeypatch.setattr("sys.argv", ["blender", "--background", "--python-expr", "main()", "--", *own])
+    assert cli.main() == 0
+    assert output.exists()

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Protocol
+from typing import Any, Protocol
 
 import bpy
 import numpy as np
@@ -61,14 +61,28 @@ def with_skeleton(obj: bpy.types.Object, surface: Surface) -> Surface:
         )
     to_mesh = np.linalg.inv(_matrix(obj)) @ _matrix(armature)
     ends = np.array([[bone.head_local, bone.tail_local] for bone in (armature.data.bones[name] for name in bones)])
+    joints = np.array(_joint_lines(armature, bones))
     rig = Rig(
         bone_indices=indices,
         bone_weights=weights,
         bone_segments=ends @ to_mesh[:3, :3].T + to_mesh[:3, 3],
         skinning="dual-quaternion" if modifier is not None and modifier.use_deform_preserve_volume else "linear",
         bone_rest_matrices=np.array([armature.data.bones[name].matrix_local for name in bones], dtype=np.float64),
+        skeleton=joints @ to_mesh[:3, :3].T + to_mesh[:3, 3],
     )
     return dataclasses.replace(surface, rig=rig)
+
+
+def _joint_lines(armature: bpy.types.Object, names: list[str]) -> list[list[Any]]:
+    """From every bone's head to its children's heads, to its own tail where it is the last.
+
+    Other tails do not count: importers let them point anywhere.
+    """
+    lines = []
+    for bone in (armature.data.bones[name] for name in names):
+        children = [child.head_local for child in bone.children if child.name in names]
+        lines += [[bone.head_local, end] for end in children or [bone.tail_local]]
+    return lines
 
 
 def weighted_bones(obj: bpy.types.Object, armature: bpy.types.Object) -> list[str]:
@@ -118,7 +132,8 @@ class BoneReader:
         channels = channels.reshape(-1, 4, 4)[self._bones].transpose(0, 2, 1).astype(np.float64)
         world = _matrix(mesh)
         to_mesh = np.linalg.inv(world) @ _matrix(armature)
-        matrices = to_mesh @ channels @ np.linalg.inv(to_mesh)
+        with np.errstate(invalid="ignore", over="ignore"):  # whoever asked for the pose checks it
+            matrices = to_mesh @ channels @ np.linalg.inv(to_mesh)
         return BonePose(bone_matrices=matrices, world=world, armature=to_mesh)
 
 

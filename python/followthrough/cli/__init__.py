@@ -43,14 +43,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     argv
-        Arguments after the program's name; None: those of this process.
+        Arguments after the program's name; None: those of this process, after `--` where it is Blender.
 
     Returns
     -------
     int
         Exit status: 0 done, 2 bad input, 130 interrupted.
     """
-    arguments = list(sys.argv[1:] if argv is None else argv)
+    arguments = _own_arguments() if argv is None else list(argv)
     chosen = next((word for word in arguments if not word.startswith("-")), None)
     parser = argparse.ArgumentParser(prog="followthrough", description="Secondary motion for skinned characters.")
     parser.add_argument("--version", action="version", version=f"followthrough {__version__}")
@@ -72,6 +72,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f"followthrough: error: {_one_line(error)}", file=sys.stderr)
         return 2
+
+
+def _own_arguments() -> list[str]:
+    # Inside `blender --background --python-expr ... -- bake IN -o OUT` what comes before `--` is Blender's.
+    return sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
 
 
 def _one_line(error: Exception) -> str:

@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bake and Clear: the operators, and the bake that is running."""
+
+from .clear import FOLLOWTHROUGH_OT_clear
+from .operator import FOLLOWTHROUGH_OT_bake
+from .session import running, stop
+
+classes: tuple[type, ...] = (FOLLOWTHROUGH_OT_bake, FOLLOWTHROUGH_OT_clear)
+
+__all__ = ["classes", "running", "stop"]

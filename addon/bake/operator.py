@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bake Followthrough: in a window a little at a time, so that Blender stays alive; from scripts all at once."""
+
+import time
+
+import bpy
+from bpy.types import Operator
+
+from followthrough.blender import BakeReport, why_not_bakeable
+
+from ..characters import selected_characters
+from ..properties.bake_settings import frame_range, object_settings
+from .session import BakeSession, running
+
+#: Seconds that are baked before the window may be drawn again: usually, and at most where drawing takes long.
+TIME_SLICE = 0.1
+LONGEST_TIME_SLICE = 0.4
+
+#: What remains possible while a bake runs: looking from elsewhere. Anything else could change what is baked.
+_VIEW_EVENTS = {"MIDDLEMOUSE", "MOUSEMOVE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "MOUSESMARTZOOM"}
+_WHEEL_EVENTS = {"WHEELUPMOUSE", "WHEELDOWNMOUSE"}
+
+#: Residuals below this share of the largest displacement are not worth a word.
+_NOTABLE_RESIDUAL = 0.05
+
+
+class FOLLOWTHROUGH_OT_bake(Operator):
+    bl_idname = "followthrough.bake"
+    bl_label = "Bake Followthrough"
+    bl_description = (
+        "Simulate the secondary motion of the selected characters and write it to shape keys, one a frame. "
+        "An earlier bake is replaced; other shape keys and animation are not touched"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    _bake: BakeSession | None = None
+    _timer: bpy.types.Timer | None = None
+    _slice_ended: float | None = None
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if running() is not None:
+            cls.poll_message_set("A bake is under way")
+            return False
+        characters = selected_characters(context)
+        if not characters:
+            cls.poll_message_set("Add Followthrough to a mesh first")
+            return False
+        reason = why_not_bakeable(characters[0])
+        if reason is not None:
+            cls.poll_message_set(reason)
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Bake at once, for scripts and without a window."""
+        try:
+            bake = self._begin(context)
+            while not bake.advance(TIME_SLICE):
+                pass
+            self._report(bake.finish())
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        try:
+            self._bake = self._begin(context)
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(0.01, window=context.window)
+        manager.modal_handler_add(self)
+        context.workspace.status_text_set("Baking Followthrough    Esc: Cancel")
+        _redraw_sidebars(context)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        bake = self._bake
+        if bake is None or running() is not bake:
+            # The add-on was disabled meanwhile, which cancelled the bake.
+            self._leave(context)
+            return {"CANCELLED"}
+        if event.type == "ESC" and event.value == "PRESS":
+            self.cancel(context)
+            self.report({"INFO"}, "Bake cancelled, nothing was changed")
+            return {"CANCELLED"}
+        if event.type == "TIMER":
+            return self._tick(context, bake)
+        wheel_alone = event.type in _WHEEL_EVENTS and not (event.alt or event.ctrl)
+        return {"PASS_THROUGH"} if wheel_alone or event.type in _VIEW_EVENTS else {"RUNNING_MODAL"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Also called by Blender itself, when another file is opened or the window is closed."""
+        if self._bake is not None:
+            self._bake.cancel()
+        self._leave(context)
+
+    def _begin(self, context: bpy.types.Context) -> BakeSession:
+        characters = selected_characters(context)
+        if not characters:
+            raise ValueError("Add Followthrough to a mesh first")
+        settings = {obj.name: object_settings(obj) for obj in characters}
+        return BakeSession(context.scene, settings, frame_range(characters[0]))
+
+    def _tick(self, context: bpy.types.Context, bake: BakeSession) -> set[str]:
+        try:
+            if not bake.is_simulated:
+                bake.advance(self._time_slice())
+                self._slice_ended = time.monotonic()
+                _redraw_sidebars(context)
+                return {"RUNNING_MODAL"}
+            report = bake.finish()
+        except ValueError as error:
+            self._leave(context)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        except BaseException:
+            self._leave(context)
+            raise
+        self._leave(context)
+        self._report(report)
+        return {"FINISHED"}
+
+    def _time_slice(self) -> float:
+        """Bake for twice as long as Blender needed to draw, so that a heavy scene does not spend its time on that."""
+        drawing = time.monotonic() - self._slice_ended if self._slice_ended is not None else 0.0
+        return min(max(TIME_SLICE, 2.0 * drawing), LONGEST_TIME_SLICE)
+
+    def _leave(self, context: bpy.types.Context) -> None:
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+        _redraw_sidebars(context)
+
+    def _report(self, report: BakeReport) -> None:
+        frames = report.end - report.start + 1
+        names = ", ".join(baked.name for baked in report.objects)
+        self.report({"INFO"}, f"Baked {frames} frames of {names} in {report.seconds:.1f} s")
+        for baked in report.objects:
+            if baked.largest_residual > _NOTABLE_RESIDUAL * baked.largest_displacement:
+                self.report(
+                    {"WARNING"},
+                    f"{baked.name}: the rig flattens the skin somewhere, where up to "
+                    f"{1000 * baked.largest_residual:.2g} mm of the motion cannot be shown",
+                )
+
+
+def _redraw_sidebars(context: bpy.types.Context) -> None:
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The bake that is running, if one is: the operator drives it, the panel shows how far it is."""
+
+import time
+from collections.abc import Mapping
+
+import bpy
+
+from followthrough.blender import Bake, BakeReport, FrameRange, ObjectSettings
+
+_running: "BakeSession | None" = None
+
+
+def running() -> "BakeSession | None":
+    """The bake under way."""
+    return _running
+
+
+def stop() -> None:
+    """Cancel the bake under way; everything is as it was before it."""
+    if _running is not None:
+        _running.cancel()
+
+
+class BakeSession:
+    """A bake that can be advanced a little at a time.
+
+    Parameters
+    ----------
+    scene, objects, frames
+        As in `followthrough.blender.Bake`.
+
+    Raises
+    ------
+    ValueError
+        Where it cannot be baked, in words for the artist, or another bake is under way.
+    """
+
+    def __init__(
+        self, scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange | None = None
+    ) -> None:
+        global _running
+        if _running is not None:
+            raise ValueError("Another bake is under way")
+        self._bake = Bake(scene, objects, frames)
+        self._steps = self._bake.run()
+        self._simulating_since = time.monotonic()
+        self.object_names = tuple(objects)
+        self.done = 0
+        self.is_simulated = False
+        _running = self
+
+    @property
+    def total(self) -> int:
+        """Frames to simulate, those that are not keyed included."""
+        return self._bake.total
+
+    def advance(self, seconds: float) -> bool:
+        """Simulate frames for about so long, one at least.
+
+        Returns
+        -------
+        bool
+            True when all are done and `finish` may be called.
+
+        Raises
+        ------
+        ValueError
+            Where the simulation cannot go on; the bake is then cancelled.
+        """
+        until = time.monotonic() + seconds
+        try:
+            for progress in self._steps:
+                self.done = progress.done
+                if time.monotonic() >= until:
+                    return False
+        except BaseException:
+            self.cancel()
+            raise
+        self.is_simulated = True
+        return True
+
+    def finish(self) -> BakeReport:
+        """Write the shape keys; the bake is then over."""
+        try:
+            report = self._bake.finish()
+        except BaseException:
+            self.cancel()
+            raise
+        self._forget()
+        return report
+
+    def cancel(self) -> None:
+        """Put everything back as it was before; the bake is then over."""
+        self._forget()
+        self._bake.cancel()
+
+    def _forget(self) -> None:
+        global _running
+        if _running is self:
+            _running = None
+
+    def seconds_left(self) -> float | None:
+        """How long the rest will take if it goes on like this; None while that cannot be said."""
+        if not self.done:
+            return None
+        return (time.monotonic() - self._simulating_since) / self.done * (self.total - self.done)
+
+    def status(self) -> str:
+        """How far it is, for the panel."""
+        if self.is_simulated:
+            return "Writing shape keys"
+        frame = min(self.done + 1, self.total)
+        left = self.seconds_left()
+        if left is None:
+            return f"Baking frame {frame} of {self.total}"
+        minutes, seconds = divmod(round(left), 60)
+        return f"Baking frame {frame} of {self.total}, {minutes}:{seconds:02d} left"

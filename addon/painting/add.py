@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Add Followthrough: the button that turns a skinned mesh into a character that can be painted and baked."""
+
+import bpy
+from bpy.types import Operator
+
+from followthrough.blender import PINS_GROUP, add_groups, why_not_bakeable
+
+from ..characters import active_mesh
+
+
+class FOLLOWTHROUGH_OT_add(Operator):
+    bl_idname = "followthrough.add"
+    bl_label = "Add Followthrough"
+    bl_description = (
+        "Create vertex groups for stiffness, mass and pins with suggested values: "
+        "skin near the bones is pinned, and gets softer the farther it is from them"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        obj = active_mesh(context)
+        if obj is None:
+            cls.poll_message_set("Select a mesh first")
+            return False
+        return not obj.followthrough.is_added
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        obj = active_mesh(context)
+        if obj is None:
+            return {"CANCELLED"}
+        if reason := why_not_bakeable(obj):
+            self.report({"ERROR"}, reason)
+            return {"CANCELLED"}
+        try:
+            created = add_groups(obj)
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        settings = obj.followthrough
+        if PINS_GROUP not in settings.pin_groups:
+            settings.pin_groups.add().name = PINS_GROUP
+        settings.frame_start, settings.frame_end = context.scene.frame_start, context.scene.frame_end
+        settings.is_added = True
+        self.report({"INFO"}, f"Created {', '.join(created)}" if created else "The mesh has its groups already")
+        return {"FINISHED"}

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel itself: what is missing, Add, and Bake, whose button is also the status line."""
+
+import textwrap
+
+import bpy
+from bpy.types import Panel
+
+from followthrough.blender import baked_range, why_not_bakeable
+
+from ..bake.clear import FOLLOWTHROUGH_OT_clear
+from ..bake.operator import FOLLOWTHROUGH_OT_bake
+from ..bake.session import BakeSession, running
+from ..characters import active_mesh, meshes_of_armature, selected_characters
+from ..painting.add import FOLLOWTHROUGH_OT_add
+from ..painting.paint import FOLLOWTHROUGH_OT_select_character
+
+
+class FollowthroughPanel:
+    """Where all panels of the add-on are."""
+
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Followthrough"
+
+
+class FOLLOWTHROUGH_PT_main(FollowthroughPanel, Panel):
+    bl_label = "Followthrough"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        bake = running()
+        if bake is not None:
+            draw_progress(layout, bake)
+            return
+        obj = active_mesh(context)
+        if obj is None:
+            draw_choice_of_mesh(layout, context)
+            return
+        if reason := why_not_bakeable(obj):
+            draw_text(layout, context, reason, icon="ERROR")
+        elif not obj.followthrough.is_added:
+            row = layout.row()
+            row.scale_y = 1.4
+            row.operator(FOLLOWTHROUGH_OT_add.bl_idname, icon="ADD")
+        else:
+            draw_bake(layout, context)
+        draw_baked(layout, obj)
+
+
+def draw_choice_of_mesh(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What to select where the active object is no mesh: for an armature, the meshes that it moves are a click away."""
+    obj = context.object
+    meshes = meshes_of_armature(context.scene, obj) if obj is not None and obj.type == "ARMATURE" else []
+    if not meshes:
+        layout.label(text="Select a skinned mesh", icon="INFO")
+        return
+    layout.label(text="Select a mesh of the armature", icon="INFO")
+    column = layout.column(align=True)
+    for mesh in meshes:
+        column.operator(FOLLOWTHROUGH_OT_select_character.bl_idname, text=mesh.name, icon="MESH_DATA").name = mesh.name
+
+
+def draw_progress(layout: bpy.types.UILayout, bake: BakeSession) -> None:
+    """The Bake button as the status line, and how to stop."""
+    column = layout.column(align=True)
+    row = column.row()
+    row.scale_y = 1.4
+    row.progress(factor=bake.done / bake.total, type="BAR", text=bake.status())
+    column.label(text="Esc cancels and changes nothing")
+
+
+def draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The Bake button, which says what it would bake."""
+    characters = selected_characters(context)
+    settings, scene = characters[0].followthrough, context.scene
+    custom = settings.frame_range == "CUSTOM"
+    start = settings.frame_start if custom else scene.frame_start
+    end = settings.frame_end if custom else scene.frame_end
+    text = f"Bake {end - start + 1} Frames"
+    if len(characters) > 1:
+        text += f" of {len(characters)} Meshes"
+    row = layout.row()
+    row.scale_y = 1.4
+    row.operator(FOLLOWTHROUGH_OT_bake.bl_idname, text=text, icon="PHYSICS")
+
+
+def draw_baked(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:
+    """What is baked already, and Clear."""
+    baked = baked_range(obj)
+    if baked is None:
+        return
+    row = layout.row()
+    row.label(text=f"Baked {baked[0]} to {baked[1]}", icon="CHECKMARK")
+    row.operator(FOLLOWTHROUGH_OT_clear.bl_idname, text="Clear", icon="TRASH")
+
+
+def draw_text(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str) -> None:
+    """A message in as many lines as the sidebar's width needs."""
+    scale = context.preferences.system.ui_scale
+    width = context.region.width / scale if context.region is not None else 250
+    column = layout.column(align=True)
+    for index, line in enumerate(textwrap.wrap(text, max(12, int((width - 60) / 6.5)))):
+        column.label(text=line, icon="BLANK1" if index else icon)

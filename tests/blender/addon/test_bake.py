@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bake, Clear, cancelling and refusing: what the file has in it afterwards."""
+
+import json
+from types import ModuleType
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+
+def keys(obj: bpy.types.Object) -> list[str]:
+    return [block.name for block in obj.data.shape_keys.key_blocks] if obj.data.shape_keys else []
+
+
+def points(obj: bpy.types.Object) -> NDArray[np.float32]:
+    blocks = obj.data.shape_keys.key_blocks
+    out = np.empty((len(blocks), len(obj.data.vertices) * 3), dtype=np.float32)
+    for row, block in zip(out, blocks, strict=True):
+        block.points.foreach_get("co", row)
+    return out
+
+
+def contents() -> str:
+    """Everything of the file that a bake could touch, as text."""
+    scene = bpy.context.scene
+    state: dict[str, Any] = {
+        "frame": (scene.frame_current, scene.frame_subframe),
+        "active": bpy.context.object.name,
+        "selected": sorted(obj.name for obj in bpy.context.selected_objects),
+        "blocks": {
+            kind: sorted(getattr(bpy.data, kind).keys()) for kind in ("actions", "meshes", "objects", "shape_keys")
+        },
+    }
+    for obj in bpy.data.objects:
+        state[obj.name] = (obj.mode, np.array(obj.matrix_world).tolist(), [group.name for group in obj.vertex_groups])
+        if obj.type == "MESH":
+            state[f"{obj.name} keys"] = (keys(obj), points(obj).tolist() if obj.data.shape_keys else None)
+            state[f"{obj.name} modifiers"] = [(m.name, m.show_viewport, m.show_render) for m in obj.modifiers]
+            state[f"{obj.name} mesh"] = [tuple(vertex.co) for vertex in obj.data.vertices]
+    return json.dumps(state, sort_keys=True)
+
+
+def running_bake(addon: ModuleType, obj: bpy.types.Object) -> Any:
+    """A bake as the operator begins it in a window."""
+    settings = addon.properties.bake_settings
+    objects = {obj.name: settings.object_settings(obj)}
+    return addon.bake.session.BakeSession(bpy.context.scene, objects, settings.frame_range(obj))
+
+
+def test_bake_writes_a_key_a_frame(painted: bpy.types.Object) -> None:
+    assert bpy.ops.followthrough.bake() == {"FINISHED"}
+    assert keys(painted) == ["Basis", *(f"Followthrough {frame:04d}" for frame in range(1, 13))]
+    offsets = points(painted)[1:] - points(painted)[0]
+    assert np.abs(offsets).max() > 1e-3
+    assert bpy.context.scene.frame_current == 3
+
+
+def test_what_is_baked_plays(painted: bpy.types.Object) -> None:
+    """With the keys, the evaluated mesh is elsewhere than the armature alone puts it."""
+    bpy.ops.followthrough.bake()
+
+    def evaluated(frame: int) -> NDArray[np.float64]:
+        bpy.context.scene.frame_set(frame)
+        mesh = painted.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+        return np.array([vertex.co[:] for vertex in mesh.vertices])
+
+    dynamic = evaluated(6)
+    bpy.ops.followthrough.clear()
+    assert np.abs(dynamic - evaluated(6)).max() > 1e-3
+
+
+def test_baking_again_gives_the_same(painted: bpy.types.Object) -> None:
+    bpy.ops.followthrough.bake()
+    first, blocks = points(painted), sorted(bpy.data.actions.keys())
+    bpy.ops.followthrough.bake()
+    np.testing.assert_array_equal(points(painted), first)
+    assert sorted(bpy.data.actions.keys()) == blocks
+
+
+def test_settings_reach_the_bake(painted: bpy.types.Object) -> None:
+    def largest() -> float:
+        bpy.ops.followthrough.bake()
+        return float(np.abs(points(painted)[1:] - points(painted)[0]).max())
+
+    soft = largest()
+    painted.followthrough.frequency_stiff = painted.followthrough.frequency_soft = 50.0
+    assert largest() < 0.2 * soft
+
+
+def test_a_custom_range_is_kept_to(painted: bpy.types.Object) -> None:
+    settings = painted.followthrough
+    settings.frame_range, settings.frame_start, settings.frame_end = "CUSTOM", 5, 8
+    bpy.ops.followthrough.bake()
+    assert keys(painted)[1:] == [f"Followthrough {frame:04d}" for frame in range(5, 9)]
+
+
+def test_a_loop_leads_into_its_start(painted: bpy.types.Object) -> None:
+    painted.followthrough.use_loop = True
+    painted.followthrough.cycles = 4
+    bpy.ops.followthrough.bake()
+    offsets = points(painted)[1:] - points(painted)[0]
+    assert np.abs(offsets[0]).max() > 1e-4, "a loop's first frame carries on from its last"
+
+
+def test_selected_characters_are_baked_together(painted: bpy.types.Object) -> None:
+    other = painted.copy()
+    other.data = painted.data.copy()
+    bpy.context.scene.collection.objects.link(other)
+    other.select_set(True)
+    assert bpy.ops.followthrough.bake() == {"FINISHED"}
+    assert len(keys(painted)) == len(keys(other)) == 13
+    assert bpy.ops.followthrough.clear() == {"FINISHED"}
+    assert keys(painted) == keys(other) == []
+
+
+def test_clear_restores(painted: bpy.types.Object) -> None:
+    before = contents()
+    bpy.ops.followthrough.bake()
+    assert contents() != before
+    assert bpy.ops.followthrough.clear() == {"FINISHED"}
+    assert contents() == before
+    assert not bpy.ops.followthrough.clear.poll()
+
+
+def test_clear_keeps_the_keys_of_others(painted: bpy.types.Object) -> None:
+    painted.shape_key_add(name="Basis")
+    painted.shape_key_add(name="Smile").points[0].co.x += 0.1
+    before = contents()
+    bpy.ops.followthrough.bake()
+    bpy.ops.followthrough.clear()
+    assert contents() == before
+
+
+@pytest.mark.parametrize("slices", [0, 1, 5])
+@pytest.mark.parametrize("baked_before", [False, True])
+def test_cancel_restores(addon: ModuleType, painted: bpy.types.Object, slices: int, baked_before: bool) -> None:
+    if baked_before:
+        bpy.ops.followthrough.bake()
+        bpy.context.scene.frame_set(7)
+    before = contents()
+    bake = running_bake(addon, painted)
+    for _ in range(slices):
+        assert not bake.advance(0.0)
+    assert bake.done == slices
+    bake.cancel()
+    assert contents() == before
+    assert addon.bake.session.running() is None
+
+
+def test_cancel_puts_edit_mode_back(addon: ModuleType, painted: bpy.types.Object) -> None:
+    bpy.ops.object.mode_set(mode="EDIT")
+    bake = running_bake(addon, painted)
+    bake.advance(0.0)
+    bake.cancel()
+    assert painted.mode == "EDIT"
+
+
+def test_disabling_the_add_on_cancels(addon: ModuleType, painted: bpy.types.Object) -> None:
+    before = contents()
+    bake = running_bake(addon, painted)
+    bake.advance(0.0)
+    addon.unregister()
+    addon.register()
+    assert contents() == before
+    assert addon.bake.session.running() is None
+
+
+def test_only_one_bake_at_a_time(addon: ModuleType, painted: bpy.types.Object) -> None:
+    bake = running_bake(addon, painted)
+    assert not bpy.ops.followthrough.bake.poll()
+    assert not bpy.ops.followthrough.clear.poll()
+    with pytest.raises(ValueError, match="under way"):
+        running_bake(addon, painted)
+    bake.cancel()
+    assert bpy.ops.followthrough.bake.poll()
+
+
+def test_slices_give_what_a_bake_at_once_gives(addon: ModuleType, painted: bpy.types.Object) -> None:
+    bpy.ops.followthrough.bake()
+    at_once = points(painted)
+    bake = running_bake(addon, painted)
+    statuses = [bake.status()]
+    while not bake.advance(0.0):
+        statuses.append(bake.status())
+    assert bake.status() == "Writing shape keys"
+    bake.finish()
+    np.testing.assert_array_equal(points(painted), at_once)
+    assert statuses[0] == f"Baking frame 1 of {bake.total}"
+    assert statuses[4].startswith(f"Baking frame 5 of {bake.total}, 0:0")
+    assert statuses[4].endswith(" left")
+
+
+def test_a_missing_pin_group_is_an_error(painted: bpy.types.Object) -> None:
+    painted.vertex_groups.remove(painted.vertex_groups["Followthrough Pins"])
+    before = contents()
+    with pytest.raises(RuntimeError, match="Followthrough Pins"):
+        bpy.ops.followthrough.bake()
+    assert contents() == before
+
+
+def test_an_error_halfway_is_reported_and_restores(
+    addon: ModuleType, painted: bpy.types.Object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = contents()
+    frames = addon.bake.session.Bake.run
+
+    def breaks(self: Any) -> Any:
+        for progress in frames(self):
+            yield progress
+            if progress.done == 3:
+                raise ValueError("Column: frame 3 is not finite")
+
+    monkeypatch.setattr(addon.bake.session.Bake, "run", breaks)
+    with pytest.raises(RuntimeError, match="frame 3 is not finite"):
+        bpy.ops.followthrough.bake()
+    assert contents() == before
+    assert addon.bake.session.running() is None
+
+
+def test_a_shared_mesh_is_refused(painted: bpy.types.Object) -> None:
+    twin = bpy.data.objects.new("Twin", painted.data)
+    bpy.context.scene.collection.objects.link(twin)
+    assert not bpy.ops.followthrough.bake.poll()
+
+
+def test_undo_takes_the_whole_bake_back(painted: bpy.types.Object) -> None:
+    bpy.ops.ed.undo_push(message="Before")
+    name = painted.name
+    bpy.ops.followthrough.bake()
+    bpy.ops.ed.undo_push(message="Bake Followthrough")
+    assert len(keys(bpy.data.objects[name])) == 13
+    bpy.ops.ed.undo()
+    assert keys(bpy.data.objects[name]) == []
+    assert bpy.context.scene.frame_current == 3
+    bpy.ops.ed.redo()
+    assert len(keys(bpy.data.objects[name])) == 13

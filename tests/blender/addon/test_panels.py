@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panels say what is missing, and draw in every state that an artist can bring them into.
+
+A window's layout cannot be had in the background, so the panels draw into one that writes down what it is told.
+"""
+
+from collections.abc import Callable
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import bpy
+import pytest
+
+
+class RecordingLayout:
+    """Takes the place of a layout: remembers texts, and checks properties, operators and arguments with Blender."""
+
+    def __init__(self, texts: list[str] | None = None, icons: list[str] | None = None) -> None:
+        object.__setattr__(self, "texts", [] if texts is None else texts)
+        object.__setattr__(self, "icons", [] if icons is None else icons)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        assert name in bpy.types.UILayout.bl_rna.properties, name
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        function = bpy.types.UILayout.bl_rna.functions[name]
+
+        def record(*positional: Any, **named: Any) -> Any:
+            parameters = function.parameters
+            assert set(named) <= set(parameters.keys()), (name, named)
+            icons = parameters["icon"].enum_items if "icon" in parameters else {}
+            assert "icon" not in named or named["icon"] in icons, named
+            self.texts.append(named.get("text", ""))
+            self.icons.append(named.get("icon", "NONE"))
+            if name in {"prop", "prop_search"}:
+                assert positional[1] in positional[0].bl_rna.properties, positional
+            if name == "operator":
+                group, _, operator = positional[0].partition(".")
+                rna = getattr(getattr(bpy.ops, group), operator).get_rna_type()
+                return SimpleNamespace(**dict.fromkeys(rna.properties.keys()))
+            return RecordingLayout(self.texts, self.icons)
+
+        return record
+
+
+def draw(addon: ModuleType) -> dict[str, list[str]]:
+    """Draw all panels that show themselves, and return their texts by title."""
+    drawn = {}
+    for cls in addon.ui.classes:
+        if issubclass(cls, bpy.types.Panel) and (not hasattr(cls, "poll") or cls.poll(bpy.context)):
+            layout = RecordingLayout()
+            panel = SimpleNamespace(layout=layout)
+            for name in ("character_layout", "_draw_pin_groups"):
+                if hasattr(cls, name):
+                    setattr(panel, name, getattr(cls, name).__get__(panel))
+            cls.draw(panel, bpy.context)
+            drawn[cls.bl_label] = layout.texts
+    return drawn
+
+
+def test_nothing_selected(addon: ModuleType) -> None:
+    assert draw(addon) == {"Followthrough": ["Select a skinned mesh"]}
+
+
+def test_an_object_that_is_no_mesh(addon: ModuleType) -> None:
+    bpy.ops.object.camera_add()
+    assert draw(addon) == {"Followthrough": ["Select a skinned mesh"]}
+
+
+def test_an_armature_offers_its_meshes(addon: ModuleType, character: bpy.types.Object) -> None:
+    bpy.context.view_layer.objects.active = character.parent
+    (texts,) = draw(addon).values()
+    assert "Column" in texts
+
+
+def test_a_mesh_without_armature(addon: ModuleType) -> None:
+    bpy.ops.mesh.primitive_cube_add()
+    (texts,) = draw(addon).values()
+    assert "armature" in " ".join(texts)
+
+
+def test_a_character_before_and_after_add(addon: ModuleType, character: bpy.types.Object) -> None:
+    assert list(draw(addon)) == ["Followthrough"]
+    bpy.ops.followthrough.add()
+    assert list(draw(addon)) == ["Followthrough", "Paint", "Motion", "Frames", "Volume"]
+    assert "Bake 12 Frames" in draw(addon)["Followthrough"]
+
+
+def test_a_linked_mesh(addon: ModuleType, painted: bpy.types.Object, tmp_path: Any) -> None:
+    path = str(tmp_path / "library.blend")
+    bpy.data.libraries.write(path, {painted})
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(path, link=True) as (_there, here):
+        here.objects = ["Column"]
+    bpy.context.scene.collection.objects.link(bpy.data.objects["Column"])
+    bpy.context.view_layer.objects.active = bpy.data.objects["Column"]
+    assert "linked" in " ".join(draw(addon)["Followthrough"])
+    assert not bpy.ops.followthrough.bake.poll()
+
+
+@pytest.mark.parametrize("target", ["STIFFNESS", "MASS", "PINS"])
+def test_painting_shows_what_the_values_mean(addon: ModuleType, painted: bpy.types.Object, target: str) -> None:
+    bpy.ops.followthrough.paint(target=target)
+    assert addon.painting.paint.MEANINGS[target] in draw(addon)["Paint"]
+
+
+def test_every_choice_of_frames(addon: ModuleType, painted: bpy.types.Object) -> None:
+    settings = painted.followthrough
+    settings.use_loop, settings.frame_range = True, "CUSTOM"
+    settings.frame_start, settings.frame_end = 3, 6
+    texts = draw(addon)
+    assert "Bake 4 Frames" in texts["Followthrough"]
+    assert {"First", "Last"} <= set(texts["Frames"])
+
+
+def test_the_bake_button_is_the_status_line(addon: ModuleType, painted: bpy.types.Object) -> None:
+    settings = addon.properties.bake_settings
+    bake = addon.bake.session.BakeSession(bpy.context.scene, {"Column": settings.object_settings(painted)})
+    bake.advance(0.0)
+    assert any(text.startswith("Baking frame 2 of ") for text in draw(addon)["Followthrough"])
+    bake.cancel()
+    bpy.ops.followthrough.bake()
+    assert "Baked 1 to 12" in draw(addon)["Followthrough"]
+
+
+def test_a_pin_group_that_is_missing_is_marked(addon: ModuleType, painted: bpy.types.Object) -> None:
+    painted.vertex_groups.clear()
+    layout = RecordingLayout()
+    pin = painted.followthrough.pin_groups[0]
+    addon.ui.lists.FOLLOWTHROUGH_UL_pin_groups.draw_item(
+        None, bpy.context, layout, painted.followthrough, pin, 0, None, ""
+    )
+    assert "Pins" in layout.texts
+    assert "ERROR" in layout.icons
+    assert draw(addon)["Paint"]
