@@ -83,8 +83,8 @@ void bind_elastic(py::module_& m) {
 
   py::class_<ImplicitEuler>(m, "ImplicitEuler", "Backward Euler finite elements. Use followthrough.elastic.ImplicitEuler.")
       .def(py::init([](const ElasticBody& body, const std::string& material, ConstMask constrained, double dt,
-                       const NewtonSettings& newton, const Eigen::Vector3d& gravity, double mass_damping,
-                       double stiffness_damping, const Vector& pin_stiffness) {
+                       const NewtonSettings& newton, const Eigen::Vector3d& gravity, double mass_damping, double stiffness_damping,
+                       const Vector& pin_stiffness) {
              return std::make_unique<ImplicitEuler>(body, material_named(material), constrained, dt, newton,
                                                     ExternalForces{gravity, mass_damping, stiffness_damping, pin_stiffness});
            }),

@@ -6,6 +6,8 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +15,9 @@ import pytest
 
 import followthrough
 from followthrough import cli
+from followthrough.elastic import ElasticBody, ImplicitEuler
 from followthrough.sequences import Sequence
-from followthrough.simulation import DEFAULT_DAMPING_RATIO, DEFAULT_STIFFNESS
+from followthrough.simulation import DEFAULT_DAMPING_RATIO, DEFAULT_STIFFNESS, simulate
 
 FRAMES, VERTICES = 20, 6
 
@@ -87,12 +90,60 @@ def test_constants_from_numbers_a_file_or_the_defaults_are_the_same_thing(
 
 
 def test_solvers_that_are_not_there_are_named(sequence: Path, output: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in ("implicit-euler", "central-differences"):
-        line = refused(capsys, "simulate", sequence, "--solver", name, "-o", output)
-        assert f"{name} is not available in this version, expected springs" in line
+    line = refused(capsys, "simulate", sequence, "--solver", "central-differences", "-o", output)
+    assert "central-differences is not available in this version, expected springs" in line
     assert "magic is not a solver, expected springs" in refused(
         capsys, "simulate", sequence, "--solver", "magic", "-o", output
     )
+    assert not output.exists()
+
+
+def test_the_elastic_solver_moves_the_sequence_with_its_own_material(
+    sequence: Path, output: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        given = Sequence.load(sequence)
+        solver = ImplicitEuler(ElasticBody.of_sequence(given), given.constrained, given.dt)
+    expected = simulate(given, solver).dynamic
+    command = ("simulate", str(sequence), "--solver", "implicit-euler", "-o", str(output))
+    assert cli.main([*command]) == 0
+    assert "20 frames of 6 vertices" in capsys.readouterr().out
+    np.testing.assert_array_equal(Sequence.load(output).dynamic, expected)
+    results = []
+    for options in (("--material", "corotational"), ("--quality", "preview"), ("--tolerance", "1e-3")):
+        assert cli.main([*command, "--quiet", *options]) == 0
+        results.append(Sequence.load(output).dynamic)
+        np.testing.assert_array_equal(results[-1][:, :2], given.reference[:, :2])
+        assert not np.array_equal(results[-1], expected)
+    output.unlink()
+    capsys.readouterr()
+    assert "only with springs" in refused(capsys, *command, "--stiffness", 5)
+    assert "only with implicit-euler" in refused(capsys, "simulate", sequence, "--quality", "preview", "-o", output)
+    assert "tolerance: found 0" in refused(capsys, *command, "--tolerance", 0)
+    assert not output.exists()
+
+
+def test_inverted_and_flat_rest_tets(
+    sequence: Path, output: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = Sequence.load(sequence)
+    changed = tmp_path / "changed.npz"
+    for tets, words in (
+        ([[0, 1, 2, 3], [2, 3, 5, 4]], "inverted at rest"),
+        ([[1, 0, 2, 3], [2, 3, 5, 4]], "inverted at rest"),
+    ):
+        replace(given, tets=np.array(tets, dtype=np.int32)).save(changed)
+        assert cli.main(["simulate", str(changed), "--solver", "implicit-euler", "--quiet", "-o", str(output)]) == 0
+        warned = words in capsys.readouterr().err
+        corners = given.rest_positions[np.array(tets)]
+        assert warned == (np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0).any()
+        output.unlink()
+    flat = given.rest_positions.copy()
+    flat[:4, 2] = 0
+    replace(given, rest_positions=flat).save(changed)
+    line = refused(capsys, "simulate", changed, "--solver", "implicit-euler", "-o", output)
+    assert "tet 0 has no volume" in line
     assert not output.exists()
 
 

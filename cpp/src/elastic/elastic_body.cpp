@@ -81,7 +81,8 @@ ElasticBody::ElasticBody(ConstPositions rest_positions, ConstTets tets, const El
     }
     inverted_rest_tets_ += determinant < 0;
     const double volume = std::abs(determinant) / 6, mass = density * volume / 20;
-    elements_.push_back({edges.inverse(), moduli(modulus, constants.poisson_ratio, constants.compression_resistance), volume, mass});
+    elements_.push_back(
+        {edges.inverse(), moduli(modulus, constants.poisson_ratio, constants.compression_resistance), volume, mass});
     corners_.push_back(corners);
     for (const Index v : corners) lumped_mass_[v] += 5 * mass;
   }

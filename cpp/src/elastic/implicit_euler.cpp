@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <string>
 
 #include "elastic/block_matrix.hpp"
@@ -74,7 +75,7 @@ class ImplicitEuler::Step {
   Trial start() const;
   bool within_tolerance(const Trial& trial) const { return trial.relative <= p_.newton.tolerance; }
   void assemble(const Positions& positions, Definiteness definiteness) const;
-  Vector direction(const Trial& from, double linear_tolerance);
+  std::optional<Vector> direction(const Trial& from, double linear_tolerance, Definiteness definiteness);
   bool advance(Trial& trial, const Vector& direction) const;
 
   Parts& p_;
@@ -158,16 +159,15 @@ void ImplicitEuler::Step::assemble(const Positions& positions, Definiteness defi
   }
 }
 
-Vector ImplicitEuler::Step::direction(const Trial& from, double linear_tolerance) {
+// Newton's direction; none where the matrix turns out to be indefinite.
+std::optional<Vector> ImplicitEuler::Step::direction(const Trial& from, double linear_tolerance, Definiteness definiteness) {
+  assemble(from.positions, definiteness);
+  p_.preconditioner.compute(p_.matrix);
   Vector result;
-  for (const Definiteness definiteness : {Definiteness::kSymmetric, Definiteness::kSemidefinite}) {
-    assemble(from.positions, definiteness);
-    p_.preconditioner.compute(p_.matrix);
-    const LinearReport linear = followthrough::solve(p_.matrix, p_.preconditioner, -from.residual, linear_tolerance,
-                                                     p_.newton.most_linear_iterations, result);
-    p_.report.linear_iterations += linear.iterations;
-    if (!linear.negative_curvature) break;
-  }
+  const LinearReport linear = followthrough::solve(p_.matrix, p_.preconditioner, -from.residual, linear_tolerance,
+                                                   p_.newton.most_linear_iterations, result);
+  p_.report.linear_iterations += linear.iterations;
+  if (linear.negative_curvature) return std::nullopt;
   return result;
 }
 
@@ -201,7 +201,14 @@ Positions ImplicitEuler::Step::solve() {
   while (!within_tolerance(trial) && report.iterations < p_.newton.most_iterations) {
     const double before = trial.size;
     ++report.iterations;
-    if (!advance(trial, direction(trial, linear_tolerance))) break;
+    bool advanced = false;
+    // The exact tangent leads home fastest. Where it is indefinite or leads nowhere, the projected one points downhill.
+    for (const Definiteness definiteness : {Definiteness::kSymmetric, Definiteness::kSemidefinite}) {
+      const std::optional<Vector> newton = direction(trial, linear_tolerance, definiteness);
+      advanced = newton && advance(trial, *newton);
+      if (advanced) break;
+    }
+    if (!advanced) break;
     const double gain = trial.size / before;
     linear_tolerance = std::clamp(0.5 * gain * gain, 1e-6, 0.1);
   }
@@ -231,8 +238,8 @@ ImplicitEuler::ImplicitEuler(const ElasticBody& body, std::shared_ptr<const Mate
   }
   if (free.empty()) throw InvalidInput("constrained", "found no free vertex, expected at least one");
   BlockMatrix matrix(body.corners(), rows);
-  parts_ = std::make_unique<Parts>(Parts{body, std::move(material), dt, newton, forces, std::move(rows), std::move(free), matrix,
-                                         matrix, {}, {}, {}, {}, -1, {}});
+  parts_ = std::make_unique<Parts>(Parts{
+      body, std::move(material), dt, newton, forces, std::move(rows), std::move(free), matrix, matrix, {}, {}, {}, {}, -1, {}});
 }
 
 ImplicitEuler::~ImplicitEuler() = default;

@@ -12,8 +12,8 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-// Where two stretches cancel (the smallest one negative), the rotation is not unique and the twist has a pole. Derivatives are those
-// of a sum not smaller than this.
+// Where two stretches cancel (the smallest one negative), the rotation is not unique and the twist has a pole. Derivatives are
+// those of a sum not smaller than this.
 constexpr double smallest_stretch_sum = 1e-6;
 
 constexpr int next[] = {1, 2, 0};
@@ -68,8 +68,7 @@ StressDerivative Material::stress_derivative(const Matrix3d& deformation_gradien
     response.flip = response.flip.cwiseMax(0.0);
     response.twist = response.twist.cwiseMax(0.0);
   }
-  return {svd.u, svd.v, response.stretch_stiffness, 0.5 * (response.flip + response.twist),
-          0.5 * (response.flip - response.twist)};
+  return {svd.u, svd.v, response.stretch_stiffness, 0.5 * (response.flip + response.twist), 0.5 * (response.flip - response.twist)};
 }
 
 PrincipalResponse InvertibleStVK::respond(const Vector3d& stretches, const Moduli& constants) const {

@@ -16,10 +16,10 @@ class BlockMatrix;
 
 /// What a tet mesh is made of. Values at vertices; a tet has the mean of its four vertices'.
 struct ElasticConstants {
-  Vector youngs_modulus;                 ///< (n,) Pa, more than 0
-  Vector density;                        ///< (n,) kg/m3, more than 0
-  double poisson_ratio = 0.45;           ///< -1 to 0.5, both excluded
-  double compression_resistance = 1e5;   ///< relative to Young's modulus, 0 or more
+  Vector youngs_modulus;                ///< (n,) Pa, more than 0
+  Vector density;                       ///< (n,) kg/m3, more than 0
+  double poisson_ratio = 0.45;          ///< -1 to 0.5, both excluded
+  double compression_resistance = 1e5;  ///< relative to Young's modulus, 0 or more
 };
 
 class ElasticBody {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
-/// Singular value decomposition of 3x3 matrices with proper rotations on both sides, so that an inverted element shows as a negative
-/// stretch [Irving, Teran, Fedkiw 2004: Invertible finite elements].
+/// Singular value decomposition of 3x3 matrices with proper rotations on both sides, so that an inverted element shows as a
+/// negative stretch [Irving, Teran, Fedkiw 2004: Invertible finite elements].
 #pragma once
 
 #include <Eigen/Core>

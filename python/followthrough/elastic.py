@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Elastic volumes by finite elements, and the ground truth of secondary motion: backward Euler, one step a frame."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from followthrough import _core
+from followthrough.character import FloatArray
+
+if TYPE_CHECKING:
+    from followthrough.sequences import Sequence
+
+MaterialName = Literal["invertible-stvk", "corotational"]
+#: From bounded work a frame to the exact step.
+Quality = Literal["preview", "fine", "converged"]
+MATERIALS: tuple[MaterialName, ...] = ("invertible-stvk", "corotational")
+QUALITIES: tuple[Quality, ...] = ("preview", "fine", "converged")
+
+
+class ElasticBody:
+    """A tet mesh and what it is made of. A tet's modulus and density are the means of its four vertices'.
+
+    Parameters
+    ----------
+    rest_positions : (n, 3) float
+        Vertices at rest, m.
+    tets : (m, 4) int
+        Inverted ones (negative volume) are taken by their absolute volume, with a warning.
+    youngs_modulus : float or (n,) float
+        Pa.
+    density : float or (n,) float
+        kg/m³.
+    poisson_ratio
+        -1 to 0.5, both excluded.
+    compression_resistance
+        Relative to Young's modulus.
+    material
+        "invertible-stvk": St. Venant-Kirchhoff with compression resistance, which survives inversion.
+        "corotational": corotational linear elasticity, without resistance.
+
+    Raises
+    ------
+    ValueError
+        On shapes that do not fit, indices out of range, constants that are not positive, tets without volume.
+    """
+
+    def __init__(
+        self,
+        rest_positions: ArrayLike,
+        tets: ArrayLike,
+        youngs_modulus: ArrayLike,
+        *,
+        density: ArrayLike = 1000.0,
+        poisson_ratio: float = 0.45,
+        compression_resistance: float = 1e5,
+        material: MaterialName = "invertible-stvk",
+    ) -> None:
+        rest = _positions("rest_positions", rest_positions)
+        if material not in MATERIALS:
+            raise ValueError(f"material: found {material!r}, expected {' or '.join(map(repr, MATERIALS))}")
+        self.material = material
+        self._core = _core.ElasticBody(
+            rest,
+            _tets(tets),
+            _per_vertex("youngs_modulus", youngs_modulus, len(rest)),
+            _per_vertex("density", density, len(rest)),
+            float(poisson_ratio),
+            float(compression_resistance),
+        )
+        if self.inverted_rest_tets:
+            warnings.warn(
+                f"rest_positions: {self.inverted_rest_tets} of {len(np.asarray(tets))} tets are inverted at rest; "
+                "they are simulated by their absolute volume",
+                stacklevel=2,
+            )
+
+    @classmethod
+    def of_sequence(cls, sequence: Sequence, material: MaterialName = "invertible-stvk") -> Self:
+        """The body that a sequence describes."""
+        return cls(
+            sequence.rest_positions,
+            sequence.tets,
+            sequence.youngs_modulus,
+            density=sequence.density,
+            poisson_ratio=sequence.poisson_ratio,
+            compression_resistance=sequence.compression_resistance,
+            material=material,
+        )
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices, n."""
+        return int(self._core.vertex_count)
+
+    @property
+    def inverted_rest_tets(self) -> int:
+        """Number of tets with negative volume at rest."""
+        return int(self._core.inverted_rest_tets)
+
+    @property
+    def lumped_mass(self) -> FloatArray:
+        """A quarter of each adjacent tet's mass, (n,) kg."""
+        mass: FloatArray = self._core.lumped_mass
+        return mass
+
+    def energy(self, positions: ArrayLike) -> float:
+        """Elastic energy at positions (n, 3), J."""
+        return float(self._core.energy(_positions("positions", positions), self.material))
+
+    def internal_forces(self, positions: ArrayLike) -> FloatArray:
+        """f of M a + f = 0 at positions (n, 3): the gradient of the energy, (n, 3) N."""
+        forces: FloatArray = self._core.internal_forces(_positions("positions", positions), self.material)
+        return forces
+
+    def stiffness_product(self, positions: ArrayLike, change: ArrayLike, semidefinite: bool = False) -> FloatArray:
+        """Change of the internal forces for a small change (n, 3) of the positions, (n, 3) N.
+
+        With `semidefinite`, negative eigenvalues of every tet's stress derivative count as zero.
+        """
+        product: FloatArray = self._core.stiffness_product(
+            _positions("positions", positions), _positions("change", change), self.material, semidefinite
+        )
+        return product
+
+    def mass_product(self, values: ArrayLike) -> FloatArray:
+        """The consistent mass matrix times values (n, 3)."""
+        product: FloatArray = self._core.mass_product(_positions("values", values))
+        return product
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """What became of a step.
+
+    Attributes
+    ----------
+    converged : bool
+        The residual is within the tolerance.
+    iterations, linear_iterations : int
+        Of Newton's method; of conjugate gradients, all in all.
+    residual : float
+        Size of M (u(t+1) - 2 u(t) + u(t-1)) + dt² f, relative to the sizes of its two parts.
+    """
+
+    converged: bool
+    iterations: int
+    linear_iterations: int
+    residual: float
+
+
+@dataclass(frozen=True)
+class ImplicitEulerState:
+    """What `ImplicitEuler` carries from frame to frame.
+
+    Attributes
+    ----------
+    arrays : tuple of (n, 3) float64
+        Positions, positions a frame before, reference, m.
+    frames : int
+        Frames since the reset, -1 before the first one.
+    """
+
+    arrays: tuple[FloatArray, FloatArray, FloatArray]
+    frames: int
+
+
+class ImplicitEuler:
+    """Backward Euler finite elements: constrained vertices follow the reference, the rest follows them.
+
+    Parameters
+    ----------
+    body
+        What moves.
+    constrained : (n,) bool
+        Vertices that take the reference exactly.
+    dt
+        Seconds a frame.
+    quality
+        "preview" bounds the work of a frame, "fine" is as good as the eye can tell, "converged" is exact.
+    tolerance
+        Size of the residual at which a step has converged, relative to its inertial and its elastic part; None: the quality's.
+    gravity
+        m/s².
+    mass_damping, stiffness_damping
+        Rayleigh's alpha (1/s) and beta (s). Backward Euler damps by itself.
+    pin_stiffness : (n,) float, optional
+        Springs that pull vertices to their reference, N/m.
+
+    Raises
+    ------
+    ValueError
+        On shapes that do not fit, constants out of range, or where no vertex is free.
+    """
+
+    def __init__(
+        self,
+        body: ElasticBody,
+        constrained: ArrayLike,
+        dt: float,
+        *,
+        quality: Quality = "converged",
+        tolerance: float | None = None,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+        mass_damping: float = 0.0,
+        stiffness_damping: float = 0.0,
+        pin_stiffness: ArrayLike | None = None,
+    ) -> None:
+        if quality not in QUALITIES:
+            raise ValueError(f"quality: found {quality!r}, expected {', '.join(QUALITIES)}")
+        newton = getattr(_core.NewtonSettings, quality)()
+        if tolerance is not None:
+            newton.tolerance = float(tolerance)
+        mask: NDArray[np.bool_] = np.asarray(constrained)
+        if mask.shape != (body.vertex_count,) or mask.dtype != np.bool_:
+            raise ValueError(
+                f"constrained: found shape {mask.shape} of {mask.dtype}, expected ({body.vertex_count},) of bool"
+            )
+        down = _numbers("gravity", gravity)
+        if down.shape != (3,):
+            raise ValueError(f"gravity: found shape {down.shape}, expected (3,)")
+        pins = np.zeros(0) if pin_stiffness is None else _per_vertex("pin_stiffness", pin_stiffness, body.vertex_count)
+        self._core = _core.ImplicitEuler(
+            body._core,
+            body.material,
+            mask,
+            float(dt),
+            newton,
+            down,
+            float(mass_damping),
+            float(stiffness_damping),
+            pins,
+        )
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices, n."""
+        return int(self._core.vertex_count)
+
+    @property
+    def last_step(self) -> StepReport:
+        """How the last step went."""
+        last = self._core.last_step
+        return StepReport(last.converged, last.iterations, last.linear_iterations, last.residual)
+
+    def reset(self, reference: ArrayLike) -> None:
+        """Start over on the reference (n, 3), m, at rest there.
+
+        Raises
+        ------
+        ValueError
+            On a wrong shape or non-finite numbers; the state is then unchanged.
+        """
+        self._core.reset(_positions("reference", reference))
+
+    def step(self, reference: ArrayLike, next_reference: ArrayLike | None = None) -> FloatArray:
+        """Take one frame.
+
+        Parameters
+        ----------
+        reference : (n, 3) float
+            Where the frame to reach has the vertices without secondary motion, m.
+        next_reference
+            Not used: backward Euler does not look ahead.
+
+        Returns
+        -------
+        (n, 3) float64
+            Dynamic positions, m, finite even where the step did not converge (`last_step` tells).
+
+        Raises
+        ------
+        ValueError
+            On a wrong shape or non-finite numbers, or before the first reset; the state is then unchanged.
+        """
+        positions: FloatArray = self._core.step(_positions("reference", reference))
+        return positions
+
+    def state(self) -> ImplicitEulerState:
+        """Everything carried from frame to frame; `restore` resumes from it bit for bit."""
+        (positions, before, reference), (frames,) = self._core.state()
+        return ImplicitEulerState((positions, before, reference), frames)
+
+    def restore(self, state: ImplicitEulerState) -> None:
+        """Go back to a state that `state` returned.
+
+        Raises
+        ------
+        ValueError
+            Where it is not a state of so many vertices.
+        """
+        self._core.restore(list(state.arrays), [state.frames])
+
+
+def _positions(name: str, values: ArrayLike) -> FloatArray:
+    array = _numbers(name, values)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"{name}: found shape {array.shape}, expected (n, 3)")
+    return array
+
+
+def _per_vertex(name: str, values: ArrayLike, count: int) -> FloatArray:
+    array = _numbers(name, values)
+    if array.shape not in ((), (count,)):
+        raise ValueError(f"{name}: found shape {array.shape}, expected () or ({count},), one value a vertex")
+    return np.ascontiguousarray(np.broadcast_to(array, (count,)))
+
+
+def _tets(values: ArrayLike) -> NDArray[np.int32]:
+    array: NDArray[np.generic] = np.asarray(values)
+    if array.ndim != 2 or array.shape[1] != 4 or array.dtype.kind not in "iu":
+        raise ValueError(f"tets: found shape {array.shape} of {array.dtype}, expected (m, 4) integers")
+    if array.size and not np.can_cast(np.min_scalar_type(array.max()), np.int32):
+        raise ValueError(f"tets: found index {array.max()}, expected one of a vertex")
+    return np.ascontiguousarray(array, dtype=np.int32)
+
+
+def _numbers(name: str, values: ArrayLike) -> FloatArray:
+    array: NDArray[np.generic] = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{name}: found an array of {array.dtype}, expected real numbers")
+    return np.asarray(array, dtype=np.float64, order="C")

@@ -1,0 +1,134 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "followthrough/elastic/implicit_euler.hpp"
+
+#include <doctest/doctest.h>
+#include <omp.h>
+
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include "elastic/block_matrix.hpp"
+#include "elastic/blocks.hpp"
+#include "elastic/conjugate_gradients.hpp"
+#include "followthrough/errors.hpp"
+
+using namespace followthrough;
+
+namespace {
+
+struct Scene {
+  TetBlock block;
+  ElasticBody body;
+  Mask constrained;
+};
+
+Scene scene(int nx, int ny, int nz) {
+  TetBlock block = tet_block(nx, ny, nz, 0.2);
+  const Eigen::Index count = block.vertices.rows();
+  ElasticConstants constants{Vector::LinSpaced(count, 2e4, 2e5), Vector::LinSpaced(count, 800.0, 1200.0)};
+  ElasticBody body(block.vertices, block.tets, constants);
+  Mask constrained = block.vertices.col(0).array() < 0.1;
+  return {std::move(block), std::move(body), std::move(constrained)};
+}
+
+Positions shaken(const Positions& rest, int frame) {
+  Positions reference = rest;
+  reference.col(1).array() += 0.15 * std::sin(0.9 * frame);
+  reference.col(2).array() += 0.1 * std::sin(0.5 * frame) * rest.col(0).array();
+  return reference;
+}
+
+}  // namespace
+
+TEST_CASE("assembled stiffness and mass are the element by element products") {
+  const Scene s = scene(3, 2, 2);
+  const Eigen::Index count = s.body.vertex_count();
+  std::vector<Index> rows(static_cast<std::size_t>(count));
+  for (Eigen::Index v = 0; v < count; ++v) rows[v] = static_cast<Index>(v);
+  const Positions bent = s.block.vertices + 0.06 * Positions::Random(count, 3), change = Positions::Random(count, 3);
+  const InvertibleStVK stvk;
+  for (const Definiteness definiteness : {Definiteness::kSymmetric, Definiteness::kSemidefinite}) {
+    BlockMatrix matrix(s.body.corners(), rows);
+    s.body.add_stiffness(bent, stvk, definiteness, 1e-3, matrix);
+    s.body.add_mass(0.5, matrix);
+    const Positions expected =
+        1e-3 * s.body.stiffness_product(bent, change, stvk, definiteness) + 0.5 * s.body.mass_product(change);
+    Positions product(count, 3);
+    matrix.multiply(change.data(), product.data());
+    CHECK((product - expected).norm() < 1e-12 * expected.norm());
+  }
+}
+
+TEST_CASE("conjugate gradients solve to the tolerance and say where a matrix is indefinite") {
+  const Scene s = scene(4, 2, 2);
+  std::vector<Index> rows(static_cast<std::size_t>(s.body.vertex_count()));
+  for (std::size_t v = 0; v < rows.size(); ++v) rows[v] = static_cast<Index>(v);
+  const Vector b = Vector::Random(3 * s.body.vertex_count());
+  for (const double sign : {1.0, -1.0}) {
+    BlockMatrix matrix(s.body.corners(), rows);
+    s.body.add_mass(1.0, matrix);
+    s.body.add_stiffness(s.block.vertices, InvertibleStVK(), Definiteness::kSemidefinite, sign * 1e-3, matrix);
+    BlockPreconditioner preconditioner;
+    preconditioner.compute(matrix);
+    Vector x, product(b.size());
+    const LinearReport report = solve(matrix, preconditioner, b, 1e-10, 1000, x);
+    CHECK(report.negative_curvature == (sign < 0));
+    if (sign > 0) {
+      matrix.multiply(x.data(), product.data());
+      CHECK((product - b).norm() < 2e-10 * b.norm());
+    }
+  }
+}
+
+TEST_CASE("steps have the same bits for any number of threads, and resume from a state") {
+  const Scene s = scene(12, 5, 5);
+  const int usual = omp_get_max_threads();
+  std::vector<Positions> expected;
+  for (const int threads : {1, 2, 4}) {
+    omp_set_num_threads(threads);
+    ImplicitEuler solver(s.body, std::make_shared<InvertibleStVK>(), s.constrained, 1.0 / 30);
+    solver.reset(shaken(s.block.vertices, 0));
+    for (int frame = 1; frame < 4; ++frame) {
+      if (frame == 2) {
+        const SolverState state = solver.state();
+        solver.step(shaken(s.block.vertices, 7));
+        solver.restore(state);
+      }
+      const Positions& dynamic = solver.step(shaken(s.block.vertices, frame));
+      CHECK(solver.last_step().converged);
+      if (threads == 1) expected.push_back(dynamic);
+      const Positions& same = expected[static_cast<std::size_t>(frame - 1)];
+      CHECK(std::memcmp(dynamic.data(), same.data(), sizeof(double) * static_cast<std::size_t>(dynamic.size())) == 0);
+    }
+  }
+  omp_set_num_threads(usual);
+}
+
+TEST_CASE("bad input is refused and changes nothing") {
+  Scene s = scene(2, 1, 1);
+  const Eigen::Index count = s.body.vertex_count();
+  const auto stvk = std::make_shared<InvertibleStVK>();
+  CHECK_THROWS_WITH_AS(ImplicitEuler(s.body, stvk, Mask::Constant(count, true), 0.03), doctest::Contains("no free vertex"),
+                       InvalidInput);
+  CHECK_THROWS_AS(ImplicitEuler(s.body, stvk, Mask::Constant(count - 1, false), 0.03), InvalidInput);
+  CHECK_THROWS_AS(ImplicitEuler(s.body, stvk, s.constrained, 0.0), InvalidInput);
+  ImplicitEuler solver(s.body, stvk, s.constrained, 0.03);
+  CHECK_THROWS_AS(solver.step(s.block.vertices), InvalidInput);
+  solver.reset(s.block.vertices);
+  Positions broken = s.block.vertices;
+  broken(1, 1) = std::numeric_limits<double>::quiet_NaN();
+  CHECK_THROWS_AS(solver.step(broken), InvalidInput);
+  CHECK(solver.state().counters[0] == 0);
+
+  Positions flat = s.block.vertices;
+  flat.col(2).setZero();
+  const ElasticConstants constants{Vector::Constant(count, 1e5), Vector::Constant(count, 1e3)};
+  CHECK_THROWS_WITH_AS(ElasticBody(flat, s.block.tets, constants), doctest::Contains("tet 0 has no volume"), InvalidInput);
+  ElasticConstants negative = constants;
+  negative.youngs_modulus[3] = -1;
+  CHECK_THROWS_WITH_AS(ElasticBody(s.block.vertices, s.block.tets, negative), doctest::Contains("youngs_modulus"), InvalidInput);
+  Tets beyond = s.block.tets;
+  beyond(0, 0) = static_cast<Index>(count);
+  CHECK_THROWS_AS(ElasticBody(s.block.vertices, beyond, constants), InvalidInput);
+}
