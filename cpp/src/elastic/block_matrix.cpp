@@ -3,11 +3,30 @@
 
 #include <algorithm>
 
+#include "elastic/block_rows.hpp"
+#include "instruction_set.hpp"
+
 namespace followthrough {
 namespace {
 
 // Rows below which a product is done sooner than other threads are awake.
 constexpr Eigen::Index rows_worth_threads = 2000;
+constexpr Eigen::Index rows_at_a_time = 256;
+
+decltype(&baseline::multiply_rows) multiply_rows_kernel() {
+  switch (instruction_set()) {
+#ifdef FOLLOWTHROUGH_HAS_avx512
+    case InstructionSet::avx512:
+      return avx512::multiply_rows;
+#endif
+#ifdef FOLLOWTHROUGH_HAS_avx2
+    case InstructionSet::avx2:
+      return avx2::multiply_rows;
+#endif
+    default:
+      return baseline::multiply_rows;
+  }
+}
 
 }  // namespace
 
@@ -44,23 +63,17 @@ BlockMatrix::BlockMatrix(const std::vector<std::array<Index, 4>>& corners, std::
       }
     }
   }
-  blocks_.assign(columns_.size(), Block::Zero());
+  blocks_.assign(columns_.size() + 1, Block::Zero());
 }
 
 void BlockMatrix::multiply(const double* x, double* y) const {
+  const auto kernel = multiply_rows_kernel();
+  const Eigen::Index chunks = (row_count() + rows_at_a_time - 1) / rows_at_a_time;
 #pragma omp parallel for schedule(static) if (row_count() >= rows_worth_threads)
-  for (Eigen::Index row = 0; row < row_count(); ++row) {
-    double a = 0, b = 0, c = 0;
-    for (Index k = starts_[row]; k < starts_[row + 1]; ++k) {
-      const double* m = blocks_[k].data();
-      const double* z = x + 3 * Eigen::Index{columns_[k]};
-      a += m[0] * z[0] + m[1] * z[1] + m[2] * z[2];
-      b += m[3] * z[0] + m[4] * z[1] + m[5] * z[2];
-      c += m[6] * z[0] + m[7] * z[1] + m[8] * z[2];
-    }
-    y[3 * row] = a;
-    y[3 * row + 1] = b;
-    y[3 * row + 2] = c;
+  for (Eigen::Index chunk = 0; chunk < chunks; ++chunk) {
+    const auto first = static_cast<Index>(chunk * rows_at_a_time);
+    const auto last = static_cast<Index>(std::min((chunk + 1) * rows_at_a_time, row_count()));
+    kernel({starts_.data(), columns_.data(), blocks_.front().data()}, x, y, first, last);
   }
 }
 

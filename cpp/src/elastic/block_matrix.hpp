@@ -13,13 +13,15 @@ namespace followthrough {
 
 class BlockMatrix {
  public:
-  using Block = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+  using Block = Eigen::Matrix3d;
 
   /// @param corners tets
   /// @param rows (n,) row of every vertex; -1: none
   BlockMatrix(const std::vector<std::array<Index, 4>>& corners, std::span<const Index> rows);
 
   Eigen::Index row_count() const { return static_cast<Eigen::Index>(starts_.size()) - 1; }
+  /// Takes the values of another one of the same pattern.
+  void copy_values(const BlockMatrix& other) { blocks_ = other.blocks_; }
   void set_zero() { std::fill(blocks_.begin(), blocks_.end(), Block::Zero()); }
 
   /// Adds `block` at corner a's row, corner b's column of a tet, and its transpose at b, a. Corners without a row are left out.
@@ -41,7 +43,7 @@ class BlockMatrix {
   const std::vector<Index>& starts() const { return starts_; }
   const std::vector<Index>& columns() const { return columns_; }  ///< ascending in every row
   const std::vector<Index>& diagonal() const { return diagonal_; }
-  const std::vector<Block>& blocks() const { return blocks_; }
+  const std::vector<Block>& blocks() const { return blocks_; }  ///< and one more, which kernels may read and nobody uses
 
  private:
   std::vector<Index> starts_, columns_, diagonal_;

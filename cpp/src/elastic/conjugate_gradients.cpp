@@ -1,60 +1,104 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "elastic/conjugate_gradients.hpp"
 
+#include <algorithm>
 #include <cmath>
 
-#include <Eigen/Cholesky>
 #include <Eigen/LU>
+
+#include "elastic/block_rows.hpp"
+#include "instruction_set.hpp"
 
 namespace followthrough {
 namespace {
 
 using Block = BlockMatrix::Block;
-using Eigen::Vector3d;
+
+// Rows that are factored together: whatever the number of threads.
+constexpr Index range_size = 2048;
+// Share of its own size that a diagonal block must keep: a smaller one is noise that the incomplete factor has let through.
+constexpr double smallest_pivot = 0.1;
+
+decltype(&baseline::solve_rows) solve_rows_kernel() {
+  switch (instruction_set()) {
+#ifdef FOLLOWTHROUGH_HAS_avx512
+    case InstructionSet::avx512:
+      return avx512::solve_rows;
+#endif
+#ifdef FOLLOWTHROUGH_HAS_avx2
+    case InstructionSet::avx2:
+      return avx2::solve_rows;
+#endif
+    default:
+      return baseline::solve_rows;
+  }
+}
 
 bool positive_definite(const Block& block) {
   const double minor = block(0, 0) * block(1, 1) - block(0, 1) * block(1, 0);
   return block(0, 0) > 0 && minor > 0 && block.determinant() > 0;
 }
 
+Index range_count(const BlockMatrix& matrix) {
+  return static_cast<Index>((matrix.row_count() + range_size - 1) / range_size);
+}
+
+Index range_end(const BlockMatrix& matrix, Index range) {
+  return std::min((range + 1) * range_size, static_cast<Index>(matrix.row_count()));
+}
+
 }  // namespace
 
 void BlockPreconditioner::compute(const BlockMatrix& matrix) {
-  const auto& starts = matrix.starts();
-  const auto& columns = matrix.columns();
-  inverse_diagonal_.resize(static_cast<std::size_t>(matrix.row_count()));
-  for (Eigen::Index row = 0; row < matrix.row_count(); ++row) {
-    const Index diagonal = matrix.diagonal()[row];
-    const Block& own = matrix.blocks()[diagonal];
-    Block reduced = own;
-    for (Index k = starts[row]; k < diagonal; ++k) {
-      const Block& lower = matrix.blocks()[k];
-      reduced -= lower * inverse_diagonal_[columns[k]] * lower.transpose();
-    }
-    // Half its own size at least: a smaller pivot would be noise that the incomplete factor has let through.
-    const double floor = 0.1;
-    if (!positive_definite(reduced - floor * own)) reduced = own;
-    if (!positive_definite(reduced)) reduced = Block::Identity() * std::max(own.trace() / 3, 1e-300);
-    inverse_diagonal_[row] = reduced.inverse();
+  const auto rows = static_cast<std::size_t>(matrix.row_count());
+  pattern_ = &matrix;
+  lower_.resize(rows);
+  upper_.resize(rows);
+  inverse_diagonal_.resize(9 * rows + 1);
+  blocks_.resize(9 * matrix.blocks().size());
+  work_.resize(4 * rows);
+  double largest = 0;
+  for (const Index k : matrix.diagonal()) largest = std::max(largest, matrix.blocks()[k].diagonal().cwiseAbs().maxCoeff());
+  scale_ = largest > 0 ? 1 / largest : 1;  // single precision has a short range
+#pragma omp parallel for schedule(static) if (range_count(matrix) > 1)
+  for (Index range = 0; range < range_count(matrix); ++range) {
+    compute_range(matrix, range * range_size, range_end(matrix, range));
   }
 }
 
-void BlockPreconditioner::apply(const BlockMatrix& matrix, const Vector& r, Vector& z) const {
+void BlockPreconditioner::compute_range(const BlockMatrix& matrix, Index first, Index last) {
   const auto& starts = matrix.starts();
   const auto& columns = matrix.columns();
-  const auto& blocks = matrix.blocks();
-  const Eigen::Index rows = matrix.row_count();
-  for (Eigen::Index row = 0; row < rows; ++row) {
-    Vector3d sum = r.segment<3>(3 * row);
-    for (Index k = starts[row]; k < matrix.diagonal()[row]; ++k) sum -= blocks[k] * z.segment<3>(3 * Eigen::Index{columns[k]});
-    z.segment<3>(3 * row) = inverse_diagonal_[row] * sum;
-  }
-  for (Eigen::Index row = rows - 1; row >= 0; --row) {
-    Vector3d sum = Vector3d::Zero();
-    for (Index k = matrix.diagonal()[row] + 1; k < starts[row + 1]; ++k) {
-      sum += blocks[k] * z.segment<3>(3 * Eigen::Index{columns[k]});
+  for (Index row = first; row < last; ++row) {
+    const auto begin = columns.begin() + starts[row], end = columns.begin() + starts[row + 1];
+    lower_[row] = static_cast<Index>(std::lower_bound(begin, end, first) - columns.begin());
+    upper_[row] = static_cast<Index>(std::lower_bound(begin, end, last) - columns.begin());
+    const Index diagonal = matrix.diagonal()[row];
+    for (Index k = lower_[row]; k < upper_[row]; ++k) {
+      Eigen::Map<Eigen::Matrix3f>(blocks_.data() + 9 * std::size_t(k)) = (scale_ * matrix.blocks()[k]).cast<float>();
     }
-    z.segment<3>(3 * row) -= inverse_diagonal_[row] * sum;
+    const Block own = scale_ * matrix.blocks()[diagonal];
+    Eigen::Matrix3f taken = Eigen::Matrix3f::Zero();
+    for (Index k = lower_[row]; k < diagonal; ++k) {
+      const Eigen::Map<const Eigen::Matrix3f> block(blocks_.data() + 9 * std::size_t(k));
+      const Eigen::Map<const Eigen::Matrix3f> inverse(inverse_diagonal_.data() + 9 * std::size_t(columns[k]));
+      taken.noalias() += (block * inverse).eval() * block.transpose();
+    }
+    Block reduced = own - taken.cast<double>();
+    if (!positive_definite(reduced - smallest_pivot * own)) reduced = own;
+    if (!positive_definite(reduced)) reduced = Block::Identity() * std::max(std::abs(own.trace()), 1e-12);
+    Eigen::Map<Eigen::Matrix3f>(inverse_diagonal_.data() + 9 * std::size_t(row)) = reduced.inverse().cast<float>();
+  }
+}
+
+void BlockPreconditioner::apply(const Vector& r, double size, Vector& z) const {
+  const auto kernel = solve_rows_kernel();
+  const TriangularRows factor{lower_.data(),  pattern_->diagonal().data(), upper_.data(), pattern_->columns().data(),
+                              blocks_.data(), inverse_diagonal_.data()};
+  const double scale = 1 / size, unscale = size * scale_;
+#pragma omp parallel for schedule(static) if (range_count(*pattern_) > 1)
+  for (Index range = 0; range < range_count(*pattern_); ++range) {
+    kernel(factor, scale, r.data(), unscale, z.data(), work_.data(), range * range_size, range_end(*pattern_, range));
   }
 }
 
@@ -62,23 +106,26 @@ LinearReport solve(const BlockMatrix& matrix, const BlockPreconditioner& precond
                    int most_iterations, Vector& x) {
   LinearReport report;
   x.setZero(b.size());
+  double size = b.norm();
+  const double goal = tolerance * size;
+  if (!(size > 0)) return report;
   Vector residual = b, z(b.size()), product(b.size());
-  const double goal = tolerance * b.norm();
-  preconditioner.apply(matrix, residual, z);
+  preconditioner.apply(residual, size, z);
   Vector direction = z;
   double slope = residual.dot(z);
-  while (report.iterations < most_iterations && residual.norm() > goal && slope > 0) {
+  while (report.iterations < most_iterations && size > goal) {
     matrix.multiply(direction.data(), product.data());
     const double curvature = direction.dot(product);
-    if (!(curvature > 0)) {
+    if (!(curvature > 0 && slope > 0)) {
       report.negative_curvature = true;
       return report;
     }
     const double step = slope / curvature;
     x += step * direction;
     residual -= step * product;
+    size = residual.norm();
     ++report.iterations;
-    preconditioner.apply(matrix, residual, z);
+    preconditioner.apply(residual, size, z);
     const double new_slope = residual.dot(z);
     direction = z + (new_slope / slope) * direction;
     slope = new_slope;

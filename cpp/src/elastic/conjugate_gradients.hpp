@@ -6,16 +6,23 @@
 
 namespace followthrough {
 
-/// Incomplete Cholesky factor of a block matrix without fill-in, A ~ (L + D) D^-1 (D + L^T) with L the strictly lower part of A:
-/// only the diagonal blocks are changed. Where that breaks down, those blocks fall back to A's own (symmetric Gauss-Seidel).
+/// Incomplete Cholesky factor without fill-in, A ~ (L + D) D^-1 (L + D)^T with L the strictly lower part of A: only the diagonal
+/// blocks are changed. Kept in single precision, and within ranges of rows that know nothing of each other, one a thread.
 class BlockPreconditioner {
  public:
   void compute(const BlockMatrix& matrix);
   /// z = preconditioner^-1 r
-  void apply(const BlockMatrix& matrix, const Vector& r, Vector& z) const;
+  /// @param size about that of r's entries
+  void apply(const Vector& r, double size, Vector& z) const;
 
  private:
-  std::vector<BlockMatrix::Block> inverse_diagonal_;
+  void compute_range(const BlockMatrix& matrix, Index first, Index last);
+
+  const BlockMatrix* pattern_ = nullptr;
+  double scale_ = 1;
+  std::vector<Index> lower_, upper_;
+  std::vector<float> blocks_, inverse_diagonal_;
+  mutable std::vector<float> work_;
 };
 
 struct LinearReport {

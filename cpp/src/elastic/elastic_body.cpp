@@ -7,8 +7,10 @@
 #include <Eigen/Dense>
 
 #include "elastic/block_matrix.hpp"
+#include "elastic/element_batch.hpp"
 #include "elastic/element_colors.hpp"
 #include "followthrough/errors.hpp"
+#include "instruction_set.hpp"
 
 namespace followthrough {
 namespace {
@@ -41,6 +43,32 @@ void require_constants(const ElasticConstants& constants, Eigen::Index count) {
     throw InvalidInput("compression_resistance",
                        "found " + std::to_string(constants.compression_resistance) + ", expected a finite number, 0 or more");
   }
+}
+
+struct Kernels {
+  decltype(&baseline::batch_forces) forces;
+  decltype(&baseline::batch_stiffness) stiffness;
+};
+
+Kernels kernels() {
+  switch (instruction_set()) {
+#ifdef FOLLOWTHROUGH_HAS_avx512
+    case InstructionSet::avx512:
+      return {avx512::batch_forces, avx512::batch_stiffness};
+#endif
+#ifdef FOLLOWTHROUGH_HAS_avx2
+    case InstructionSet::avx2:
+      return {avx2::batch_forces, avx2::batch_stiffness};
+#endif
+    default:
+      return {baseline::batch_forces, baseline::batch_stiffness};
+  }
+}
+
+bool has_closed_form(const Material& material) { return dynamic_cast<const InvertibleStVK*>(&material) != nullptr; }
+
+std::vector<BatchConstants> empty_batches(std::size_t tets) {
+  return std::vector<BatchConstants>((tets + batch_lanes - 1) / batch_lanes, BatchConstants{});
 }
 
 Corners corner_gradients(const Matrix3d& gradients) {
@@ -87,21 +115,58 @@ ElasticBody::ElasticBody(ConstPositions rest_positions, ConstTets tets, const El
     for (const Index v : corners) lumped_mass_[v] += 5 * mass;
   }
   edge_length_ = edges_sum / (6.0 * static_cast<double>(tets.rows()));
+  batches_ = empty_batches(elements_.size());
+  for (std::size_t tet = 0; tet < batches_.size() * batch_lanes; ++tet) {
+    const Element& element = elements_[std::min(tet, elements_.size() - 1)];  // lanes to spare repeat the last one
+    BatchConstants& batch = batches_[tet / batch_lanes];
+    const std::size_t lane = tet % batch_lanes;
+    for (int k = 0; k < 9; ++k) batch.gradients[k][lane] = element.gradients(k / 3, k % 3);
+    batch.mu[lane] = element.constants.mu;
+    batch.lambda[lane] = element.constants.lambda;
+    batch.compression_resistance[lane] = element.constants.compression_resistance;
+    batch.volume[lane] = element.volume;
+  }
   ElementColors colors = color_elements(corners_, vertex_count_);
   color_starts_ = std::move(colors.starts);
   clusters_ = std::move(colors.clusters);
 }
 
+ElasticBody::~ElasticBody() = default;
+ElasticBody::ElasticBody(const ElasticBody&) = default;
+ElasticBody::ElasticBody(ElasticBody&&) noexcept = default;
+ElasticBody& ElasticBody::operator=(const ElasticBody&) = default;
+ElasticBody& ElasticBody::operator=(ElasticBody&&) noexcept = default;
+
+// Calls work(batch, first tet, one after its last) for all batches; those at work at a time share no vertex.
 template <typename Work>
-void ElasticBody::for_tets(const Work& work) const {
-  const std::size_t size = cluster_size;
-#pragma omp parallel if (elements_.size() >= 8 * size)
+void ElasticBody::for_batches(const Work& work) const {
+  constexpr std::size_t batches_a_cluster = cluster_size / batch_lanes;
+#pragma omp parallel if (batches_.size() >= 8 * batches_a_cluster)
   for (std::size_t color = 0; color + 1 < color_starts_.size(); ++color) {
 #pragma omp for schedule(static)
     for (Index k = color_starts_[color]; k < color_starts_[color + 1]; ++k) {
-      const std::size_t first = size * static_cast<std::size_t>(clusters_[k]);
-      const std::size_t last = std::min(first + size, elements_.size());
-      for (std::size_t tet = first; tet < last; ++tet) work(tet);
+      const std::size_t first = batches_a_cluster * static_cast<std::size_t>(clusters_[k]);
+      const std::size_t last = std::min(first + batches_a_cluster, batches_.size());
+      for (std::size_t batch = first; batch < last; ++batch) {
+        work(batch, batch * batch_lanes, std::min((batch + 1) * batch_lanes, elements_.size()));
+      }
+    }
+  }
+}
+
+template <typename Work>
+void ElasticBody::for_tets(const Work& work) const {
+  for_batches([&](std::size_t, std::size_t first, std::size_t last) {
+    for (std::size_t tet = first; tet < last; ++tet) work(tet);
+  });
+}
+
+void ElasticBody::load_edges(std::size_t batch, ConstPositions positions, ElementBatch& to) const {
+  for (std::size_t lane = 0; lane < batch_lanes; ++lane) {
+    const std::array<Index, 4>& v = corners_[std::min(batch * batch_lanes + lane, corners_.size() - 1)];
+    for (int axis = 0; axis < 3; ++axis) {
+      const double origin = positions(v[0], axis);
+      for (int k = 0; k < 3; ++k) to.edges[3 * axis + k][lane] = positions(v[k + 1], axis) - origin;
     }
   }
 }
@@ -119,18 +184,48 @@ double ElasticBody::energy(ConstPositions positions, const Material& material) c
   return energy;
 }
 
+// Any element of any material.
+void ElasticBody::add_force(std::size_t tet, ConstPositions positions, const Material& material, Positions& forces,
+                            double* energy) const {
+  const Element& element = elements_[tet];
+  const SignedSvd svd = signed_svd(deformation_gradient(tet, positions));
+  const PrincipalResponse response = material.respond(svd.stretches, element.constants);
+  if (energy) *energy = element.volume * response.energy_density;
+  const Matrix3d stress = svd.u * (element.volume * response.stress).asDiagonal() * svd.v.transpose();
+  const Corners at_corners = stress * corner_gradients(element.gradients);
+  for (int a = 0; a < 4; ++a) forces.row(corners_[tet][a]) += at_corners.col(a).transpose();
+}
+
 Positions ElasticBody::internal_forces(ConstPositions positions, const Material& material, double* energy) const {
   require_rows("positions", positions.rows(), vertex_count_);
   Positions forces = Positions::Zero(vertex_count_, 3);
-  Vector energies = Vector::Zero(energy ? tet_count() : 0);
-  for_tets([&](std::size_t tet) {
-    const Element& element = elements_[tet];
-    const SignedSvd svd = signed_svd(deformation_gradient(tet, positions));
-    const PrincipalResponse response = material.respond(svd.stretches, element.constants);
-    if (energy) energies[static_cast<Eigen::Index>(tet)] = element.volume * response.energy_density;
-    const Matrix3d stress = svd.u * (element.volume * response.stress).asDiagonal() * svd.v.transpose();
-    const Corners at_corners = stress * corner_gradients(element.gradients);
-    for (int a = 0; a < 4; ++a) forces.row(corners_[tet][a]) += at_corners.col(a).transpose();
+  Vector energies = Vector::Zero(tet_count());
+  const auto batch_forces = kernels().forces;
+  const bool closed_form = has_closed_form(material);
+  for_batches([&](std::size_t index, std::size_t first, std::size_t last) {
+    ElementBatch batch;
+    if (closed_form) {
+      load_edges(index, positions, batch);
+      batch_forces(batches_[index], batch, InvertibleStVK::smallest_stretch);
+    }
+    for (std::size_t tet = first; tet < last; ++tet) {
+      double& tet_energy = energies[static_cast<Eigen::Index>(tet)];
+      const std::size_t lane = tet - first;
+      if (!closed_form || batch.inside[lane] == 0) {
+        add_force(tet, positions, material, forces, &tet_energy);
+        continue;
+      }
+      tet_energy = batch.energy[lane];
+      const std::array<Index, 4>& v = corners_[tet];
+      for (int axis = 0; axis < 3; ++axis) {
+        const double* f = &batch.forces[3 * axis][lane];
+        const double f1 = f[0], f2 = f[batch_lanes], f3 = f[2 * batch_lanes];
+        forces(v[0], axis) -= f1 + f2 + f3;
+        forces(v[1], axis) += f1;
+        forces(v[2], axis) += f2;
+        forces(v[3], axis) += f3;
+      }
+    }
   });
   if (energy) *energy = energies.sum();
   return forces;
@@ -163,25 +258,58 @@ Positions ElasticBody::mass_product(ConstPositions values) const {
   return product;
 }
 
+// Any element of any material.
+void ElasticBody::add_stiffness(std::size_t tet, ConstPositions positions, const Material& material, Definiteness definiteness,
+                                double scale, BlockMatrix& matrix) const {
+  const Element& element = elements_[tet];
+  const StressDerivative d = material.stress_derivative(deformation_gradient(tet, positions), element.constants, definiteness);
+  const Corners g = d.v.transpose() * corner_gradients(element.gradients);
+  for (int a = 0; a < 4; ++a) {
+    for (int b = a; b < 4; ++b) {
+      // In principal axes the block needs the stretches' 3x3 and, for each pair of axes, two numbers.
+      Matrix3d block = d.stretch_stiffness.cwiseProduct(g.col(a) * g.col(b).transpose());
+      for (int k = 0; k < 3; ++k) {
+        const int i = (k + 1) % 3, j = (k + 2) % 3;
+        block(i, i) += d.along[k] * g(j, a) * g(j, b);
+        block(j, j) += d.along[k] * g(i, a) * g(i, b);
+        block(i, j) += d.across[k] * g(j, a) * g(i, b);
+        block(j, i) += d.across[k] * g(i, a) * g(j, b);
+      }
+      matrix.add(tet, a, b, scale * element.volume * (d.u * block * d.u.transpose()));
+    }
+  }
+}
+
 void ElasticBody::add_stiffness(ConstPositions positions, const Material& material, Definiteness definiteness, double scale,
                                 BlockMatrix& matrix) const {
-  for_tets([&](std::size_t tet) {
-    const Element& element = elements_[tet];
-    const StressDerivative d = material.stress_derivative(deformation_gradient(tet, positions), element.constants, definiteness);
-    const Corners g = d.v.transpose() * corner_gradients(element.gradients);
-    for (int a = 0; a < 4; ++a) {
-      for (int b = a; b < 4; ++b) {
-        // In principal axes the block needs the stretches' 3x3 and, for each pair of axes, two numbers.
-        Matrix3d block = d.stretch_stiffness.cwiseProduct(g.col(a) * g.col(b).transpose());
-        for (int k = 0; k < 3; ++k) {
-          const int i = (k + 1) % 3, j = (k + 2) % 3;
-          block(i, i) += d.along[k] * g(j, a) * g(j, b);
-          block(j, j) += d.along[k] * g(i, a) * g(i, b);
-          block(i, j) += d.across[k] * g(j, a) * g(i, b);
-          block(j, i) += d.across[k] * g(i, a) * g(j, b);
-        }
-        matrix.add(tet, a, b, scale * element.volume * (d.u * block * d.u.transpose()));
+  const auto batch_stiffness = kernels().stiffness;
+  const bool closed_form = has_closed_form(material) && definiteness != Definiteness::kSemidefinite;
+  for_batches([&](std::size_t index, std::size_t first, std::size_t last) {
+    ElementBatch batch;
+    if (closed_form) {
+      load_edges(index, positions, batch);
+      batch_stiffness(batches_[index], batch, InvertibleStVK::smallest_stretch);
+    }
+    for (std::size_t tet = first; tet < last; ++tet) {
+      const std::size_t lane = tet - first;
+      if (!closed_form || batch.inside[lane] == 0) {
+        add_stiffness(tet, positions, material, definiteness, scale, matrix);
+        continue;
       }
+      // Corner 0 has minus the sum of the others, as row and as column.
+      Matrix3d rows[3] = {Matrix3d::Zero(), Matrix3d::Zero(), Matrix3d::Zero()};
+      int pair = 0;
+      for (int a = 1; a < 4; ++a) {
+        for (int b = a; b < 4; ++b, ++pair) {
+          Matrix3d block;
+          for (int k = 0; k < 9; ++k) block(k / 3, k % 3) = scale * batch.blocks[pair][k][lane];
+          matrix.add(tet, a, b, block);
+          rows[a - 1] += block;
+          if (a != b) rows[b - 1] += block.transpose();
+        }
+      }
+      for (int a = 1; a < 4; ++a) matrix.add(tet, 0, a, -rows[a - 1].transpose());
+      matrix.add(tet, 0, 0, rows[0] + rows[1] + rows[2]);
     }
   });
 }

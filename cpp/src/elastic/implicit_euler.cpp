@@ -47,7 +47,7 @@ struct ImplicitEuler::Parts {
   NewtonSettings newton;
   ExternalForces forces;
   std::vector<Index> rows, free;  // row of every vertex or -1; vertex of every row
-  BlockMatrix matrix, damping;
+  BlockMatrix matrix, constant, damping;  // constant: mass, its damping, and pins
   BlockPreconditioner preconditioner;
   Positions positions, before, reference;
   std::int64_t frames = -1;  // since the reset; -1: never reset
@@ -146,17 +146,9 @@ Trial ImplicitEuler::Step::start() const {
 }
 
 void ImplicitEuler::Step::assemble(const Positions& positions, Definiteness definiteness) const {
-  const double square = p_.dt * p_.dt;
-  p_.matrix.set_zero();
-  p_.body.add_mass(1 + p_.dt * p_.forces.mass_damping, p_.matrix);
-  p_.body.add_stiffness(positions, *p_.material, definiteness, square, p_.matrix);
+  p_.matrix.copy_values(p_.constant);
+  p_.body.add_stiffness(positions, *p_.material, definiteness, p_.dt * p_.dt, p_.matrix);
   if (p_.forces.stiffness_damping > 0) p_.matrix.add(p_.damping);
-  if (p_.forces.pin_stiffness.size() > 0) {
-    for (std::size_t row = 0; row < p_.free.size(); ++row) {
-      p_.matrix.add_to_diagonal(static_cast<Eigen::Index>(row),
-                                square * p_.forces.pin_stiffness[p_.free[row]] * BlockMatrix::Block::Identity());
-    }
-  }
 }
 
 // Newton's direction; none where the matrix turns out to be indefinite.
@@ -209,8 +201,10 @@ Positions ImplicitEuler::Step::solve() {
       if (advanced) break;
     }
     if (!advanced) break;
+    // As exact as Newton's method will converge, but no better than the step needs.
     const double gain = trial.size / before;
     linear_tolerance = std::clamp(0.5 * gain * gain, 1e-6, 0.1);
+    linear_tolerance = std::max(linear_tolerance, std::min(0.3 * p_.newton.tolerance / trial.relative, 0.1));
   }
   report.residual = trial.relative;
   report.converged = within_tolerance(trial);
@@ -237,9 +231,17 @@ ImplicitEuler::ImplicitEuler(const ElasticBody& body, std::shared_ptr<const Mate
     free.push_back(static_cast<Index>(v));
   }
   if (free.empty()) throw InvalidInput("constrained", "found no free vertex, expected at least one");
-  BlockMatrix matrix(body.corners(), rows);
-  parts_ = std::make_unique<Parts>(Parts{
-      body, std::move(material), dt, newton, forces, std::move(rows), std::move(free), matrix, matrix, {}, {}, {}, {}, -1, {}});
+  const BlockMatrix empty(body.corners(), rows);
+  BlockMatrix constant = empty;
+  body.add_mass(1 + dt * forces.mass_damping, constant);
+  if (forces.pin_stiffness.size() > 0) {
+    for (std::size_t row = 0; row < free.size(); ++row) {
+      constant.add_to_diagonal(static_cast<Eigen::Index>(row),
+                               dt * dt * forces.pin_stiffness[free[row]] * BlockMatrix::Block::Identity());
+    }
+  }
+  parts_ = std::make_unique<Parts>(Parts{body, std::move(material), dt, newton, forces, std::move(rows), std::move(free), empty,
+                                         std::move(constant), empty, {}, {}, {}, {}, -1, {}});
 }
 
 ImplicitEuler::~ImplicitEuler() = default;

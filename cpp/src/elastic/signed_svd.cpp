@@ -23,7 +23,7 @@ bool make_perpendicular(Matrix3d& columns, Matrix3d& v, int i, int j) {
   const double ij = columns.col(i).dot(columns.col(j));
   if (std::abs(ij) <= epsilon * std::sqrt(ii) * std::sqrt(jj)) return false;
   const double slope = (jj - ii) / (2 * ij);
-  const double tangent = std::copysign(1.0, slope) / (std::abs(slope) + std::hypot(1.0, slope));
+  const double tangent = std::copysign(1.0, slope) / (std::abs(slope) + std::sqrt(1 + slope * slope));
   const double cosine = 1 / std::sqrt(1 + tangent * tangent), sine = cosine * tangent;
   for (Matrix3d* m : {&columns, &v}) {
     const Vector3d first = m->col(i);

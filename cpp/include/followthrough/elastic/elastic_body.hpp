@@ -13,6 +13,8 @@
 namespace followthrough {
 
 class BlockMatrix;
+struct BatchConstants;
+struct ElementBatch;
 
 /// What a tet mesh is made of. Values at vertices; a tet has the mean of its four vertices'.
 struct ElasticConstants {
@@ -28,6 +30,11 @@ class ElasticBody {
   /// @param tets (m,4); inverted ones are taken by their absolute volume
   /// @throws InvalidInput on wrong shapes, indices out of range, non-finite or negative constants, tets without volume
   ElasticBody(ConstPositions rest_positions, ConstTets tets, const ElasticConstants& constants);
+  ~ElasticBody();
+  ElasticBody(const ElasticBody&);
+  ElasticBody(ElasticBody&&) noexcept;
+  ElasticBody& operator=(const ElasticBody&);
+  ElasticBody& operator=(ElasticBody&&) noexcept;
 
   Eigen::Index vertex_count() const { return vertex_count_; }
   Eigen::Index tet_count() const { return static_cast<Eigen::Index>(elements_.size()); }
@@ -70,8 +77,14 @@ class ElasticBody {
   };
 
   Eigen::Matrix3d deformation_gradient(std::size_t tet, ConstPositions positions) const;
+  void add_force(std::size_t tet, ConstPositions positions, const Material& material, Positions& forces, double* energy) const;
+  void add_stiffness(std::size_t tet, ConstPositions positions, const Material& material, Definiteness definiteness, double scale,
+                     BlockMatrix& matrix) const;
+  template <typename Work>
+  void for_batches(const Work& work) const;
   template <typename Work>
   void for_tets(const Work& work) const;
+  void load_edges(std::size_t batch, ConstPositions positions, ElementBatch& to) const;
 
   Eigen::Index vertex_count_;
   Eigen::Index inverted_rest_tets_ = 0;
@@ -79,6 +92,7 @@ class ElasticBody {
   Vector lumped_mass_;
   std::vector<std::array<Index, 4>> corners_;
   std::vector<Element> elements_;
+  std::vector<BatchConstants> batches_;  // the same as elements_, for the closed form
   std::vector<Index> color_starts_, clusters_;  // clusters by colour; no two of a colour share a vertex
 };
 
