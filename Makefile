@@ -7,7 +7,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 CMAKE := $(VENV)/bin/cmake
 SOURCES := $(shell find cpp/include cpp/src cpp/bindings cmake python -type f -not -name '*.so' -not -path '*/__pycache__/*') CMakeLists.txt pyproject.toml README.md
-CPP_FILES := $(shell find cpp tests/cpp -name '*.cpp' -o -name '*.hpp')
+CPP_FILES := $(shell find cpp tests/cpp examples/cpp -name '*.cpp' -o -name '*.hpp')
 DEMO_OUTPUT ?= demo-output
 BENCH_ARGS ?=
 

@@ -12,8 +12,8 @@ void require_finite(std::string_view argument, ConstValues values) {
   for (Eigen::Index row = 0; row < values.rows(); ++row) {
     for (Eigen::Index column = 0; column < values.cols(); ++column) {
       if (!std::isfinite(values(row, column))) {
-        throw InvalidInput(argument, "row " + std::to_string(row) + " holds " + std::to_string(values(row, column)) +
-                                         ", expected finite numbers");
+        throw InvalidInput(
+            argument, "row " + std::to_string(row) + " holds " + std::to_string(values(row, column)) + ", expected finite numbers");
       }
     }
   }
@@ -24,8 +24,8 @@ void require_indices(std::string_view argument, ConstIndexTable indices, Eigen::
     for (Eigen::Index column = 0; column < indices.cols(); ++column) {
       const Index index = indices(row, column);
       if (index < 0 || index >= count) {
-        throw InvalidInput(argument, "row " + std::to_string(row) + " holds index " + std::to_string(index) +
-                                         ", expected 0 to " + std::to_string(count - 1));
+        throw InvalidInput(argument, "row " + std::to_string(row) + " holds index " + std::to_string(index) + ", expected 0 to " +
+                                         std::to_string(count - 1));
       }
     }
   }

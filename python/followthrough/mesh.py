@@ -85,8 +85,10 @@ def tetrahedralize(
 ) -> TetMesh:
     """Make a volume of tets around a surface.
 
-    The voxel method takes any surface: open, self-crossing, of many parts, non-manifold, with unwelded seams, faces that are
-    degenerate, doubled or turned, parts that are inside out. It keeps the cubes of a grid, centred on the bounding box, that a
+    The voxel method takes any surface: open, self-crossing, of many parts, non-manifold, with unwelded seams, faces
+    that are
+    degenerate, doubled or turned, parts that are inside out. It keeps the cubes of a grid, centred on the bounding
+    box, that a
     triangle reaches into or whose centre is inside (winding number above one half), and cuts each in six tets [DE 3.1].
 
     Parameters
@@ -99,10 +101,12 @@ def tetrahedralize(
     cell_size
         Edge of a cube, metres. The grid has as few cubes along the longest side as cover it.
     split_parts
-        Do not glue parts of the body (thighs, fingers, lips) that merely come near each other: where they share a cube, each
+        Do not glue parts of the body (thighs, fingers, lips) that merely come near each other: where they share a
+        cube, each
         part gets a copy of it. A cube's copies count in `cells`.
     method
-        "voxel", or "tetgen" for a volume whose boundary is the surface itself, which must be closed (needs the tetgen extra;
+        "voxel", or "tetgen" for a volume whose boundary is the surface itself, which must be closed (needs the
+        tetgen extra;
         `cells` and `split_parts` are then without meaning, and `cell_size` bounds the size of the tets).
 
     Returns
@@ -112,8 +116,10 @@ def tetrahedralize(
     Raises
     ------
     ValueError
-        Naming the argument: an empty or non-finite surface, an index out of range, cells below 1, a cell size that is not
-        positive or would make more than 20 million cells; for tetgen, where it is not installed or the surface is not closed.
+        Naming the argument: an empty or non-finite surface, an index out of range, cells below 1, a cell size that
+        is not
+        positive or would make more than 20 million cells; for tetgen, where it is not installed or the surface is
+        not closed.
     """
     vertices = _rows("vertices", vertices, 3)
     triangles = _rows("triangles", triangles, 3, np.int32)
@@ -158,7 +164,8 @@ def embed(points: ArrayLike, vertices: ArrayLike, tets: ArrayLike) -> tuple[IntA
     Parameters
     ----------
     points : (p, 3)
-        Metres. A point outside all tets goes to the nearest one, with weights below 0 or above 1, so that an affine motion of
+        Metres. A point outside all tets goes to the nearest one, with weights below 0 or above 1, so that an affine
+        motion of
         the tet mesh moves it by the same affine motion.
     vertices : (n, 3)
         Metres, at rest.
@@ -207,8 +214,10 @@ def interpolate(
 class SurfaceTransfer:
     """Carries values from a surface's vertices into the volume around it [ZS 3.1].
 
-    Vertices on the volume's boundary take the value of the closest point of the surface (of their own part, where parts were
-    split), those inside the solution of Laplace's equation between them. Results stay in the range of the surface's values; what
+    Vertices on the volume's boundary take the value of the closest point of the surface (of their own part, where
+    parts were
+    split), those inside the solution of Laplace's equation between them. Results stay in the range of the surface's
+    values; what
     is non-negative and sums to one over the columns stays so.
 
     Parameters

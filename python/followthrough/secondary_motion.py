@@ -109,12 +109,12 @@ class SecondaryMotion:
             self._ahead = (next_pose, next_reference)
         dynamic = self.solver.step(reference, next_reference)
         displacements = self.volume.surface_displacements(dynamic, reference)
-        local = np.linalg.solve(pose.world[:3, :3], displacements.T).T
+        local = displacements @ np.linalg.inv(pose.world[:3, :3]).T
         offsets, residuals = self._inverse_skin(pose, local)
         return Frame(
             offsets=offsets,
             displacements=displacements,
-            residual=float(np.linalg.norm(residuals @ pose.world[:3, :3].T, axis=1).max(initial=0.0)),
+            residual=_longest(residuals @ pose.world[:3, :3].T),
         )
 
     def _reference(self, pose: Pose) -> FloatArray:
@@ -138,3 +138,8 @@ class SecondaryMotion:
             )
         assert not isinstance(pose, BonePose)
         return skinning.invert_displacements(pose.jacobians, displacements, self.settings.minimum_stretch)
+
+
+def _longest(vectors: FloatArray) -> float:
+    """Length of the longest of (n, 3)."""
+    return float(np.sqrt(np.einsum("ij,ij->i", vectors, vectors).max(initial=0.0)))

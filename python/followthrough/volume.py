@@ -15,7 +15,6 @@ from followthrough.character import (
     IntArray,
     Paint,
     Pose,
-    SampledPose,
     Surface,
     distances_to_segments,
     flesh_thickness,
@@ -154,7 +153,5 @@ def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None
 
 
 def _transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:
-    return points @ matrix[:3, :3].T + matrix[:3, 3]
-
-
-__all__ = ["HARD_PIN", "SampledPose", "Volume", "build_volume"]
+    moved: FloatArray = points @ matrix[:3, :3].T + matrix[:3, 3]
+    return moved

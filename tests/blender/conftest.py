@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
 
 import pytest
@@ -14,3 +16,19 @@ bpy = pytest.importorskip("bpy", reason="these tests need Blender's Python modul
 def fresh_scene() -> Iterator[None]:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     yield
+
+
+_status = pytest.StashKey[int]()
+
+
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    session.config.stash[_status] = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Leave without Python's shutdown: bpy 4.2 crashes in it where something still holds the module."""
+    if _status in config.stash:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(config.stash[_status])

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
-/// Bad input is an answer, not a crash: every public function throws InvalidInput before it has changed anything. Python sees a ValueError.
+/// Bad input is an answer, not a crash: every public function throws InvalidInput before it has changed anything. Python sees a
+/// ValueError.
 #pragma once
 
 #include <stdexcept>

@@ -12,7 +12,7 @@ namespace followthrough {
 
 /// Everything that a solver carries from one frame to the next; copying it back resumes the run bit for bit.
 struct SolverState {
-  std::vector<Positions> arrays;     ///< solver-specific (n,3) arrays, for example positions and velocities
+  std::vector<Positions> arrays;       ///< solver-specific (n,3) arrays, for example positions and velocities
   std::vector<std::int64_t> counters;  ///< solver-specific integers, for example frames since the reset
 };
 

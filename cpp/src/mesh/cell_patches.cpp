@@ -14,7 +14,8 @@ constexpr double kBelow = 1e-6;  // how far under the surface one looks from, in
 
 }  // namespace
 
-std::vector<Index> patches_in_cell(const PreparedSurface& surface, const Voxels& voxels, Index cell, Index& count) {
+CellPatches patches_in_cell(const PreparedSurface& surface, const Voxels& voxels, Index cell) {
+  CellPatches result;
   const auto begin = static_cast<std::size_t>(voxels.touch_offsets[static_cast<std::size_t>(cell)]);
   const auto end = static_cast<std::size_t>(voxels.touch_offsets[static_cast<std::size_t>(cell) + 1]);
   const Eigen::Vector3d centre = voxels.grid.cell(cell).cast<double>() + Eigen::Vector3d::Constant(0.5);
@@ -36,13 +37,18 @@ std::vector<Index> patches_in_cell(const PreparedSurface& surface, const Voxels&
             [](const Edge& a, const Edge& b) { return std::tie(a.low, a.high, a.triangle) < std::tie(b.low, b.high, b.triangle); });
   for (std::size_t first = 0, last = 0; first < edges.size(); first = last) {
     while (last < edges.size() && edges[last].low == edges[first].low && edges[last].high == edges[first].high) ++last;
-    if (last - first < 2) continue;
     const Eigen::Vector3d a = voxels.grid.to_grid(surface.vertices.row(edges[first].low));
     const Eigen::Vector3d b = voxels.grid.to_grid(surface.vertices.row(edges[first].high));
-    if (!triangle_meets_cube({a, b, b}, centre, 0.5 + kTouchDepth)) continue;
+    const double reach = ((a - centre).cwiseAbs()).cwiseMax((b - centre).cwiseAbs()).maxCoeff();
+    const bool within = reach < 0.5 - 2 * kTouchDepth;
+    if (within && last - first < 2) continue;
+    if (!within && !triangle_meets_cube({a, b, b}, centre, 0.5 + 2 * kTouchDepth)) continue;
+    if (!within)
+      result.borders.push_back({edges[first].low, edges[first].high, begin + static_cast<std::size_t>(edges[first].triangle)});
     for (std::size_t k = first; k < last; ++k) sets.join(edges[first].triangle, edges[k].triangle);
   }
-  return sets.labels(count);
+  result.labels = sets.labels(result.count);
+  return result;
 }
 
 CellView::CellView(const PreparedSurface& surface, const Voxels& voxels, Index cell)

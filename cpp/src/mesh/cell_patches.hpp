@@ -10,10 +10,20 @@
 
 namespace followthrough {
 
-/// @brief Groups the triangles that touch a cell by what they share inside that cell: an edge that passes through it or a vertex in
-/// it.
-/// @return patch of each triangle of the cell's touch list, counted from 0
-std::vector<Index> patches_in_cell(const PreparedSurface& surface, const Voxels& voxels, Index cell, Index& count);
+/// An edge of the surface (or a vertex, where both ends are the same) that reaches the border of a cell.
+struct BorderEdge {
+  Index low, high;    ///< vertices
+  std::size_t touch;  ///< row of Voxels::touch_triangles of a triangle at it
+};
+
+struct CellPatches {
+  std::vector<Index> labels;  ///< patch of each triangle of the cell's touch list, counted from 0
+  Index count = 0;
+  std::vector<BorderEdge> borders;  ///< sorted by `low`, `high`
+};
+
+/// Groups the triangles that touch a cell by what they share inside that cell: an edge that passes through it or a vertex in it.
+CellPatches patches_in_cell(const PreparedSurface& surface, const Voxels& voxels, Index cell);
 
 /// Looks through the material of one cell. Positions are in cell edges.
 class CellView {

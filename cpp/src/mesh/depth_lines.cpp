@@ -80,7 +80,10 @@ std::vector<char> outside_after(const std::vector<Crossing>& crossings, const Tr
   std::vector<char> outside(crossings.size(), 0);
 #pragma omp parallel for schedule(dynamic, 256)
   for (std::size_t k = 0; k < crossings.size(); ++k) {
-    if (k + 1 == crossings.size() || crossings[k + 1].line != crossings[k].line) continue;
+    if (k + 1 == crossings.size() || crossings[k + 1].line != crossings[k].line) {
+      outside[k] = 1;
+      continue;
+    }
     const double gap = crossings[k + 1].depth - crossings[k].depth;
     if (gap < 1e-6) continue;
     Eigen::Vector3d middle;
@@ -110,17 +113,25 @@ std::vector<Stretch> find_stretches(const PreparedSurface& surface, const Triang
     for (std::size_t k = 0; k < crossings.size(); ++k) {
       const Crossing& crossing = crossings[k];
       if (k == 0 || crossings[k - 1].line != crossing.line) inside.clear();
-      const Index component = surface.components[crossing.triangle];
-      Inside& here = inside[component];
+      const Index shell = surface.shells[crossing.triangle];
+      const Crossings way = surface.shell_crossings[static_cast<std::size_t>(shell)];
+      Inside& here = inside[shell];
       int level = here.level + (crossing.outward ? -1 : 1);
-      if (!surface.closed) level = std::max(level, 0);
-      const bool deeper = std::abs(level) > std::abs(here.level);
-      if (here.level != 0) {
-        stretches.push_back({axis, crossing.line / rows_v, crossing.line % rows_v, here.from, crossing.depth, here.enter,
-                             deeper ? -1 : crossing.triangle, component, std::abs(here.level) > 1});
+      if (way == Crossings::kCountInside) level = std::max(level, 0);
+      if (way == Crossings::kAskEverywhere) level = outside[k] ? 0 : 1;
+      if (level != here.level) {
+        const bool deeper = std::abs(level) > std::abs(here.level);
+        if (here.level != 0) {
+          stretches.push_back({axis, crossing.line / rows_v, crossing.line % rows_v, here.from, crossing.depth, here.enter,
+                               deeper ? -1 : crossing.triangle, shell, std::abs(here.level) > 1});
+        }
+        here = {level, crossing.depth, deeper ? crossing.triangle : -1};
       }
-      here = {level, crossing.depth, deeper ? crossing.triangle : -1};
-      if (outside[k]) inside.clear();
+      if (!outside[k]) continue;
+      for (auto entry = inside.begin(); entry != inside.end();) {
+        const bool counted = surface.shell_crossings[static_cast<std::size_t>(entry->first)] == Crossings::kCount;
+        entry = counted ? std::next(entry) : inside.erase(entry);
+      }
     }
   }
   return stretches;

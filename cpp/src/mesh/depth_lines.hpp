@@ -27,14 +27,15 @@ struct Stretch {
   double from, to;  ///< in cell edges along the axis
   Index enter;      ///< triangle whose material begins here; -1 where the stretch begins because an overlap ends
   Index exit;       ///< triangle whose material ends here; -1 where the stretch ends because an overlap begins
-  Index component;  ///< piece of the mesh
-  bool overlap;     ///< the line is inside this piece of the mesh more than once: parts of it overlap here
+  Index shell;      ///< shell of the surface, see PreparedSurface
+  bool overlap;     ///< the line is inside this shell more than once: parts of it overlap here
 };
 
-/// @brief Finds all stretches of material, piece of the mesh by piece of the mesh.
+/// @brief Finds all stretches of material, shell by shell.
 ///
-/// On a closed surface crossings are counted; regions that a self-crossing turned inside out count as inside. On an open one a
-/// stretch also ends, without a result, where the winding number says that the line is outside.
+/// In a closed shell crossings are counted; regions that a self-crossing turned inside out count as inside. In one with holes a
+/// stretch also ends, without a result, where the winding number says that the line is outside. Where walls divide a shell, the
+/// winding number alone decides.
 std::vector<Stretch> find_stretches(const PreparedSurface& surface, const TriangleTree& tree, const VoxelGrid& grid);
 
 }  // namespace followthrough

@@ -17,6 +17,7 @@ namespace followthrough {
 namespace {
 
 constexpr std::size_t kLatticePoints = static_cast<std::size_t>(kLinesPerCell * kLinesPerCell * kLinesPerCell);
+constexpr double kTwice = 1.65;  // winding number of an overlap; at a wall inside the body it comes up to 1.5
 constexpr Index kNone = -1;
 constexpr Index kAmbiguous = -2;
 
@@ -77,11 +78,15 @@ class PartSplitter {
       touched_.push_back(cell);
     }
     touch_nodes_.resize(voxels_.touch_triangles.size());
+    borders_.resize(touched_.size());
     std::vector<Index> counts(touched_.size());
 #pragma omp parallel for schedule(dynamic, 32)
     for (std::size_t k = 0; k < touched_.size(); ++k) {
-      const std::vector<Index> labels = patches_in_cell(surface_, voxels_, touched_[k], counts[k]);
-      std::copy(labels.begin(), labels.end(), touch_nodes_.begin() + static_cast<std::ptrdiff_t>(touch_begin(touched_[k])));
+      CellPatches patches = patches_in_cell(surface_, voxels_, touched_[k]);
+      std::copy(patches.labels.begin(), patches.labels.end(),
+                touch_nodes_.begin() + static_cast<std::ptrdiff_t>(touch_begin(touched_[k])));
+      counts[k] = patches.count;
+      borders_[k] = std::move(patches.borders);
     }
     for (std::size_t k = 0; k < touched_.size(); ++k) {
       for (std::size_t touch = touch_begin(touched_[k]); touch < touch_end(touched_[k]); ++touch) {
@@ -89,7 +94,6 @@ class PartSplitter {
       }
       node_count_ += static_cast<std::size_t>(counts[k]);
     }
-    patch_count_ = node_count_;
     cell_nodes_.assign(count, kNone);
     for (Index cell = 0; cell < grid_.count(); ++cell) {
       if (kept(cell) && !voxels_.touched(cell)) cell_nodes_[static_cast<std::size_t>(cell)] = static_cast<Index>(node_count_++);
@@ -194,7 +198,7 @@ class PartSplitter {
             held = kAmbiguous;
           } else if (held == kNone) {
             held = static_cast<Index>(k);
-          } else if (held != kAmbiguous && stretches_[static_cast<std::size_t>(held)].component != s.component) {
+          } else if (held != kAmbiguous && stretches_[static_cast<std::size_t>(held)].shell != s.shell) {
             nodes.join(node_on(static_cast<std::size_t>(held), along), node_on(k, along));  // pieces of the mesh that overlap
           } else {
             held = kAmbiguous;
@@ -267,7 +271,7 @@ class PartSplitter {
       auto& points = below[touch_nodes_[touch]];
       Eigen::Vector3d point;
       if (points.size() < 8 && view.point_below(touch - touch_begin(cell), point)) {
-        points.push_back({touch - touch_begin(cell), point, tree_.winding_number_near(grid_.from_grid(point), 1.5) > 1.5});
+        points.push_back({touch - touch_begin(cell), point, tree_.winding_number_near(grid_.from_grid(point), kTwice) > kTwice});
       }
     }
     for (const auto& [patch, points] : below) {
@@ -309,46 +313,55 @@ class PartSplitter {
       const Index cell = touched_[k];
       struct Group {
         Index largest = std::numeric_limits<Index>::max();
-        std::size_t touch = 0;
+        std::vector<std::size_t> touches;  // of the largest piece of the mesh in it
       };
       std::map<Index, Group> groups;
       for (std::size_t touch = touch_begin(cell); touch < touch_end(cell); ++touch) {
         Group& group = groups[nodes.find(touch_nodes_[touch])];
-        if (area_rank(touch) < group.largest) group = {area_rank(touch), touch};
+        if (area_rank(touch) < group.largest) group = {area_rank(touch), {}};
+        if (area_rank(touch) == group.largest && group.touches.size() < 8) group.touches.push_back(touch);
       }
       const CellView view(surface_, voxels_, cell);
       for (const auto& [root, group] : groups) {
+        if (group.largest == 0) continue;
         Eigen::Vector3d from;
-        if (group.largest == 0 || !view.point_below(group.touch - touch_begin(cell), from)) continue;
-        const Eigen::Vector3d point = grid_.from_grid(from);
-        const double reach = grid_.edge * grid_.edge;
-        const auto corner = [&](Index t, int c) { return Eigen::Vector3d(surface_.vertices.row(surface_.triangles(t, c))); };
-        Index host = kNone;
-        double nearest = reach;
-        tree_.boxes().overlapping(
-            Box(point - Eigen::Vector3d::Constant(grid_.edge), point + Eigen::Vector3d::Constant(grid_.edge)), [&](Index t) {
-              if (ranks_[static_cast<std::size_t>(surface_.components[t])] >= group.largest) return;
-              const double distance = closest_on_triangle(point, corner(t, 0), corner(t, 1), corner(t, 2)).squared_distance;
-              if (distance < nearest || (distance == nearest && host != kNone && t < host)) {
-                nearest = distance;
-                host = t;
-              }
-            });
-        if (host == kNone) continue;
-        const ClosestPoint on = closest_on_triangle(point, corner(host, 0), corner(host, 1), corner(host, 2));
-        const Eigen::Vector3d place = grid_.to_grid(on.barycentric[0] * corner(host, 0) + on.barycentric[1] * corner(host, 1) +
-                                                    on.barycentric[2] * corner(host, 2));
-        const std::size_t here = touch_of(cell, host);
-        if (here != touch_end(cell)) {
-          nodes.join(touch_nodes_[group.touch], touch_nodes_[here]);
-          continue;
+        for (const std::size_t touch : group.touches) {
+          if (view.point_below(touch - touch_begin(cell), from)) join_to_host(nodes, cell, touch, grid_.from_grid(from));
         }
-        const Eigen::Vector3i other = place.array().floor().cast<int>();
-        if (!grid_.contains(other) || (other - grid_.cell(cell)).cwiseAbs().maxCoeff() > 1) continue;
-        const std::size_t there = touch_of(grid_.number(other), host);
-        if (there != touch_end(grid_.number(other))) neighbour_joins_.push_back({cell, group.touch, grid_.number(other), there});
       }
     }
+  }
+
+  // Joins what carries a triangle to what carries the nearest one of a larger piece of the mesh.
+  void join_to_host(DisjointSets& nodes, Index cell, std::size_t touch, const Eigen::Vector3d& point) {
+    const auto closest = [&](Index t) {
+      return closest_on_triangle(point, surface_.vertices.row(surface_.triangles(t, 0)),
+                                 surface_.vertices.row(surface_.triangles(t, 1)), surface_.vertices.row(surface_.triangles(t, 2)));
+    };
+    const Eigen::Vector3d reach = Eigen::Vector3d::Constant(grid_.edge);
+    Index host = kNone;
+    double nearest = grid_.edge * grid_.edge;
+    tree_.boxes().overlapping(Box(point - reach, point + reach), [&](Index t) {
+      if (ranks_[static_cast<std::size_t>(surface_.components[t])] >= area_rank(touch)) return;
+      const double distance = closest(t).squared_distance;
+      if (distance < nearest || (distance == nearest && host != kNone && t < host)) {
+        nearest = distance;
+        host = t;
+      }
+    });
+    if (host == kNone) return;
+    const std::size_t here = touch_of(cell, host);
+    if (here != touch_end(cell)) {
+      nodes.join(touch_nodes_[touch], touch_nodes_[here]);
+      return;
+    }
+    const ClosestPoint on = closest(host);
+    Eigen::Vector3d place = Eigen::Vector3d::Zero();
+    for (int k = 0; k < 3; ++k) place += on.barycentric[k] * surface_.vertices.row(surface_.triangles(host, k)).transpose();
+    const Eigen::Vector3i other = grid_.to_grid(place).array().floor().cast<int>();
+    if (!grid_.contains(other) || (other - grid_.cell(cell)).cwiseAbs().maxCoeff() > 1) return;
+    const std::size_t there = touch_of(grid_.number(other), host);
+    if (there != touch_end(grid_.number(other))) neighbour_joins_.emplace_back(touch, there);
   }
 
   // One cube for each set of nodes with a patch in it, and one for each untouched cell.
@@ -382,27 +395,43 @@ class PartSplitter {
     }
   }
 
+  // The same triangle in two cells.
+  void join_by_triangles(DisjointSets& corners, Index cell, Index other) const {
+    std::size_t a = touch_begin(cell), b = touch_begin(other);
+    Index last_a = kNone, last_b = kNone;
+    while (a < touch_end(cell) && b < touch_end(other)) {
+      const Index ta = voxels_.touch_triangles[a], tb = voxels_.touch_triangles[b];
+      if (ta == tb && (touch_cubes_[a] != last_a || touch_cubes_[b] != last_b)) {
+        last_a = touch_cubes_[a];
+        last_b = touch_cubes_[b];
+        join_cubes(corners, last_a, last_b);
+      }
+      a += ta <= tb;
+      b += tb <= ta;
+    }
+  }
+
+  // Different triangles at one edge, which lies between the two cells.
+  void join_by_borders(DisjointSets& corners, std::size_t ordinal, std::size_t other) const {
+    auto a = borders_[ordinal].begin(), b = borders_[other].begin();
+    while (a != borders_[ordinal].end() && b != borders_[other].end()) {
+      const auto key_a = std::pair(a->low, a->high), key_b = std::pair(b->low, b->high);
+      if (key_a == key_b) join_cubes(corners, touch_cubes_[a->touch], touch_cubes_[b->touch]);
+      a += key_a <= key_b;
+      b += key_b <= key_a;
+    }
+  }
+
   void join_corners(DisjointSets& nodes) {
     DisjointSets corners(8 * cubes_.size());
-    // The same triangle in two cells.
-    for (const Index cell : touched_) {
-      const Eigen::Vector3i at = grid_.cell(cell);
+    for (std::size_t k = 0; k < touched_.size(); ++k) {
+      const Index cell = touched_[k];
       for (int direction = 14; direction < 27; ++direction) {
-        const Eigen::Vector3i next = at + Eigen::Vector3i(direction / 9 - 1, direction / 3 % 3 - 1, direction % 3 - 1);
-        if (!grid_.contains(next)) continue;
-        const Index other = grid_.number(next);
-        std::size_t a = touch_begin(cell), b = touch_begin(other);
-        Index last_a = kNone, last_b = kNone;
-        while (a < touch_end(cell) && b < touch_end(other)) {
-          const Index ta = voxels_.touch_triangles[a], tb = voxels_.touch_triangles[b];
-          if (ta == tb && (touch_cubes_[a] != last_a || touch_cubes_[b] != last_b)) {
-            last_a = touch_cubes_[a];
-            last_b = touch_cubes_[b];
-            join_cubes(corners, last_a, last_b);
-          }
-          a += ta <= tb;
-          b += tb <= ta;
-        }
+        const Eigen::Vector3i next =
+            grid_.cell(cell) + Eigen::Vector3i(direction / 9 - 1, direction / 3 % 3 - 1, direction % 3 - 1);
+        if (!grid_.contains(next) || !voxels_.touched(grid_.number(next))) continue;
+        join_by_triangles(corners, cell, grid_.number(next));
+        join_by_borders(corners, k, static_cast<std::size_t>(ordinal_[static_cast<std::size_t>(grid_.number(next))]));
       }
     }
     // A line that passes from cell to cell through material.
@@ -415,7 +444,7 @@ class PartSplitter {
         before = cube;
       }
     }
-    for (const auto& join : neighbour_joins_) join_cubes(corners, touch_cubes_[join.touch], touch_cubes_[join.other_touch]);
+    for (const auto& join : neighbour_joins_) join_cubes(corners, touch_cubes_[join.first], touch_cubes_[join.second]);
     for (std::size_t cube = 0; cube < cubes_.size(); ++cube) {
       auto& own = nodes_.emplace_back();
       for (int k = 0; k < 8; ++k) own[static_cast<std::size_t>(k)] = corners.find(static_cast<Index>(8 * cube) + k);
@@ -444,31 +473,25 @@ class PartSplitter {
     return result;
   }
 
-  struct NeighbourJoin {
-    Index cell;
-    std::size_t touch;
-    Index other;
-    std::size_t other_touch;
-  };
-
   const PreparedSurface& surface_;
   const TriangleTree& tree_;
   const Voxels& voxels_;
   const VoxelGrid& grid_;
   std::vector<Stretch> stretches_;
-  std::vector<int> first_cells_, last_cells_;  // of each stretch, along its axis
-  std::vector<Index> first_pieces_;            // node of each stretch's first cell
-  std::vector<Index> touched_;                 // cells with triangles
-  std::vector<Index> ordinal_;                 // place of each cell in `touched_`
-  std::vector<Index> touch_nodes_;             // node of each row of the touch lists
-  std::vector<Index> cell_nodes_;              // node of each kept cell without triangles
-  std::vector<Index> ranks_;                   // of each piece of the mesh by area, the largest first
-  std::array<std::vector<Index>, 3> lattice_;  // by axis: the stretch at each point of the touched cells
-  std::size_t node_count_ = 0, patch_count_ = 0;
+  std::vector<int> first_cells_, last_cells_;     // of each stretch, along its axis
+  std::vector<Index> first_pieces_;               // node of each stretch's first cell
+  std::vector<Index> touched_;                    // cells with triangles
+  std::vector<Index> ordinal_;                    // place of each cell in `touched_`
+  std::vector<std::vector<BorderEdge>> borders_;  // of each touched cell
+  std::vector<Index> touch_nodes_;                // node of each row of the touch lists
+  std::vector<Index> cell_nodes_;                 // node of each kept cell without triangles
+  std::vector<Index> ranks_;                      // of each piece of the mesh by area, the largest first
+  std::array<std::vector<Index>, 3> lattice_;     // by axis: the stretch at each point of the touched cells
+  std::size_t node_count_ = 0;
   std::vector<Index> cubes_;         // cell of each cube
   std::vector<Index> cube_of_node_;  // by the root of a set of nodes
   std::vector<Index> touch_cubes_;
-  std::vector<NeighbourJoin> neighbour_joins_;
+  std::vector<std::pair<std::size_t, std::size_t>> neighbour_joins_;  // touches whose cubes share their corners
   std::vector<std::array<Index, 8>> nodes_;
 };
 

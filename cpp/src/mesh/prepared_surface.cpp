@@ -211,6 +211,44 @@ void turn_outside(PreparedSurface& surface, const Patches& patches) {
   }
 }
 
+// A closed patch is a shell of its own; the others of a piece of the mesh are one together.
+void number_shells(PreparedSurface& surface, const Patches& patches, const std::vector<DirectedEdge>& edges) {
+  std::vector<char> open(static_cast<std::size_t>(patches.count), 0);
+  for_each_edge(edges, [&](std::size_t first, std::size_t last) {
+    for (std::size_t k = first; k < last; ++k) {
+      const Index patch = patches.labels[static_cast<std::size_t>(edges[k].triangle)];
+      int balance = 0;
+      for (std::size_t m = first; m < last; ++m) {
+        if (patches.labels[static_cast<std::size_t>(edges[m].triangle)] == patch) balance += edges[m].direction;
+      }
+      if (balance != 0) open[static_cast<std::size_t>(patch)] = 1;
+    }
+  });
+  std::vector<Index> of_patch(open.size(), -1), of_component(static_cast<std::size_t>(surface.component_count), -1);
+  surface.shells.resize(surface.triangles.rows());
+  for (Eigen::Index t = 0; t < surface.triangles.rows(); ++t) {
+    const auto patch = static_cast<std::size_t>(patches.labels[static_cast<std::size_t>(t)]);
+    const bool first_of_patch = of_patch[patch] < 0;
+    Index& shell = open[patch] ? of_component[static_cast<std::size_t>(surface.components[t])] : of_patch[patch];
+    if (shell < 0) {
+      shell = static_cast<Index>(surface.shell_crossings.size());
+      surface.shell_crossings.push_back(open[patch] ? Crossings::kCountInside : Crossings::kCount);
+    } else if (open[patch] && first_of_patch) {
+      surface.shell_crossings[static_cast<std::size_t>(shell)] = Crossings::kAskEverywhere;
+    }
+    of_patch[patch] = shell;
+    surface.shells[t] = shell;
+  }
+  // A wall or fin alone, on a closed patch, hangs on an edge of three faces as well.
+  for_each_edge(edges, [&](std::size_t first, std::size_t last) {
+    if (last - first < 3) return;
+    for (std::size_t k = first; k < last; ++k) {
+      Crossings& way = surface.shell_crossings[static_cast<std::size_t>(surface.shells[edges[k].triangle])];
+      if (way == Crossings::kCountInside) way = Crossings::kAskEverywhere;
+    }
+  });
+}
+
 }  // namespace
 
 PreparedSurface prepare_surface(ConstPositions vertices, ConstTriangles triangles) {
@@ -288,6 +326,7 @@ PreparedSurface prepare_surface(ConstPositions vertices, ConstTriangles triangle
     if (own < 0) own = surface.component_count++;
     surface.components[t] = own;
   }
+  number_shells(surface, patches, edges);
   return surface;
 }
 

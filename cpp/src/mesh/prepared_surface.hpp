@@ -3,9 +3,18 @@
 // and parts that were inside out turned outside.
 #pragma once
 
+#include <vector>
+
 #include "followthrough/types.hpp"
 
 namespace followthrough {
+
+/// How a line through the surface tells where it is inside.
+enum class Crossings {
+  kCount,         ///< closed: going in and coming out again balance
+  kCountInside,   ///< manifold with holes: they balance, except where the line passes through a hole
+  kAskEverywhere  ///< walls and fins, at edges of three faces and more: only the winding number knows
+};
 
 struct PreparedSurface {
   Positions vertices;   ///< (u,3) distinct positions
@@ -14,6 +23,8 @@ struct PreparedSurface {
   Indices sources;      ///< (k,) the input's triangle that each one was
   Indices components;   ///< (k,) pieces of the mesh that share no vertex, counted from 0
   Index component_count = 0;
+  Indices shells;                          ///< (k,) sets of triangles whose crossings belong together, counted from 0
+  std::vector<Crossings> shell_crossings;  ///< one a shell
   bool closed = false;  ///< every edge is passed as often one way as the other, so winding numbers are whole numbers
 };
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -12,6 +13,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from followthrough import _core
 from followthrough.blender import modes, shape_keys
 from followthrough.blender.groups import PaintGroups, read_paint
 from followthrough.blender.rig_reading import PoseReader, make_reader, read_surface
@@ -184,7 +186,7 @@ class Bake:
         if self._closed or self._complete:
             raise RuntimeError("run: this bake has already been run")
         try:
-            with ThreadPoolExecutor(max_workers=1, thread_name_prefix="followthrough") as worker:
+            with ThreadPoolExecutor(max_workers=1, initializer=_leave_room_for_blender) as worker:
                 yield from self._steps(worker)
         finally:
             if not self._complete:
@@ -284,11 +286,14 @@ class Bake:
                     result = character.motion.step(poses[index], None if following is None else following[index])
             except ValueError as problem:
                 raise ValueError(f"Object '{character.name}', frame {frame}: {problem}") from problem
-            if not (np.isfinite(result.offsets).all() and np.isfinite(result.displacements).all()):
+            with np.errstate(over="ignore"):  # told below
+                offsets = result.offsets.astype(np.float32)
+            if not np.isfinite([offsets.sum(dtype=np.float64), result.displacements.sum()]).all():
                 raise ValueError(f"Object '{character.name}', frame {frame}: the motion is no longer finite")
             if keyed:
-                character.offsets[frame - self.start] = result.offsets
-                largest = float(np.linalg.norm(result.displacements, axis=1).max(initial=0.0))
+                character.offsets[frame - self.start] = offsets
+                squares = np.einsum("ij,ij->i", result.displacements, result.displacements)
+                largest = float(np.sqrt(squares.max(initial=0.0)))
                 character.largest_displacement = max(character.largest_displacement, largest)
                 character.largest_residual = max(character.largest_residual, result.residual)
             character.seconds += time.perf_counter() - began
@@ -361,6 +366,14 @@ class Bake:
             seconds=character.seconds,
             sampled=volume.surface.rig is None,
         )
+
+
+def _leave_room_for_blender() -> None:
+    """Work with half the processor's cores in this thread: Blender evaluates the next frame on the others.
+
+    Threads that wait for a core that someone else has cost more than they bring.
+    """
+    _core.set_threads(max(1, (os.cpu_count() or 2) // 2))
 
 
 def _require_visible(name: str, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:

@@ -44,7 +44,7 @@ def open_file(path: Path) -> bool:
             if ending == ".blend":
                 if not start.startswith(_BLEND_STARTS):
                     raise ValueError("this is no Blender file")
-                bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
+                bpy.ops.wm.open_mainfile(filepath=str(path))
             else:
                 bpy.ops.wm.read_factory_settings(use_empty=True)
                 _import(path, ending)

@@ -73,7 +73,7 @@ def add_groups(obj: bpy.types.Object, surface: Surface | None = None) -> list[st
 
 def suggested_paint(obj: bpy.types.Object, surface: Surface) -> Paint:
     """`suggest_paint` with the bones of the mesh's armature, also where something else helps to move it."""
-    return suggest_paint(with_skeleton(obj, surface))
+    return suggest_paint(surface if surface.rig is not None else with_skeleton(obj, surface))
 
 
 def read_paint(obj: bpy.types.Object, surface: Surface, groups: PaintGroups | None = None) -> Paint:

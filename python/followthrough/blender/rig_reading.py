@@ -74,7 +74,10 @@ def with_skeleton(obj: bpy.types.Object, surface: Surface) -> Surface:
 
 
 def _joint_lines(armature: bpy.types.Object, names: list[str]) -> list[list[Any]]:
-    """From every bone's head to its children's heads, to its own tail where it is the last: an importer's tails point anywhere."""
+    """From every bone's head to its children's heads, to its own tail where it is the last.
+
+    Other tails do not count: importers let them point anywhere.
+    """
     lines = []
     for bone in (armature.data.bones[name] for name in names):
         children = [child.head_local for child in bone.children if child.name in names]
@@ -129,7 +132,8 @@ class BoneReader:
         channels = channels.reshape(-1, 4, 4)[self._bones].transpose(0, 2, 1).astype(np.float64)
         world = _matrix(mesh)
         to_mesh = np.linalg.inv(world) @ _matrix(armature)
-        matrices = to_mesh @ channels @ np.linalg.inv(to_mesh)
+        with np.errstate(invalid="ignore", over="ignore"):  # whoever asked for the pose checks it
+            matrices = to_mesh @ channels @ np.linalg.inv(to_mesh)
         return BonePose(bone_matrices=matrices, world=world, armature=to_mesh)
 
 

@@ -11,6 +11,7 @@ It needs Blender's Python module (`pip install followthrough[blender]`), or runs
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -128,6 +129,12 @@ def run(args: argparse.Namespace) -> int:
     settings = blender.ObjectSettings(motion=motion, groups=groups)
     files.require_output(args.output)
     imported = files.open_file(args.input)
+    if bpy.app.autoexec_fail:
+        print(
+            "followthrough: the file has Python drivers or scripts that Blender's preferences do not let run "
+            f"({bpy.app.autoexec_fail_message}); what they move is baked without them",
+            file=sys.stderr,
+        )
     chosen = _choose(args.object)
     frame_range: tuple[int, int] | None = None
     if args.action is not None or imported:
@@ -170,7 +177,10 @@ def _choose(wanted: list[str] | None) -> dict[str, list[str]]:
         if left is None:
             view_layer = bpy.context.view_layer if scene == bpy.context.scene else scene.view_layers[0]
             meshes = blender.skinned_meshes(scene)
-            names = [obj.name for obj in meshes if obj.visible_get(view_layer=view_layer) and obj.name not in taken]
+            hidden = [obj.name for obj in meshes if not obj.visible_get(view_layer=view_layer)]
+            if hidden:
+                print(f"followthrough: passed over what is hidden: {', '.join(map(repr, hidden))}", file=sys.stderr)
+            names = [obj.name for obj in meshes if obj.name not in taken and obj.name not in hidden]
         else:
             names = [name for name in left if name in scene.objects and name not in taken]
         taken.update(names)

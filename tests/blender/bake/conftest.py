@@ -13,7 +13,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from followthrough.blender import Bake, BakeReport, FrameRange, ObjectSettings, read_paint, read_surface
+from followthrough.blender.rig_reading import make_reader
+from followthrough.blender.scene import require_bakeable
+from followthrough.blender.shape_keys import our_names, read_points
+from followthrough.secondary_motion import SecondaryMotion
+from followthrough.settings import Settings, VolumeSettings
+
 RINGS, SEGMENTS = 9, 8
+
+#: A coarse volume, so that a test takes no time.
+COARSE = Settings(volume=VolumeSettings(cells=8))
 
 
 @dataclass
@@ -50,13 +60,43 @@ class Character:
 
     def skinned(self, frame: float) -> NDArray[np.float64]:
         """The same without our shape keys."""
-        keys = [block for block in self.mesh.data.shape_keys.key_blocks if block.name.startswith("Followthrough")]
+        key = self.mesh.data.shape_keys
+        keys = [block for block in key.key_blocks if block.name in our_names(key)]
         for block in keys:
             block.mute = True
         positions = self.positions(frame)
         for block in keys:
             block.mute = False
         return positions
+
+    def displacements(self, start: int, end: int) -> list[NDArray[np.float64]]:
+        """What the usual settings give in every frame, simulated step by step beside the bake."""
+        scene = bpy.context.scene
+        scene.frame_set(start)
+        surface = read_surface(self.mesh)
+        paint = read_paint(self.mesh, surface)
+        motion = SecondaryMotion(surface, paint, COARSE, scene.render.fps_base / scene.render.fps)
+        reader = make_reader(self.mesh, require_bakeable(self.mesh), surface)
+        poses = []
+        for frame in range(start, end + 1):
+            scene.frame_set(frame)
+            poses.append(reader.read(bpy.context.view_layer))
+        steps = [motion.reset(poses[0])]
+        steps += [motion.step(pose, after) for pose, after in zip(poses[1:], [*poses[2:], None], strict=True)]
+        return [step.displacements for step in steps]
+
+    def bake(self, settings: ObjectSettings | None = None, frames: FrameRange | None = None) -> BakeReport:
+        """Bake this character alone."""
+        bake = Bake(bpy.context.scene, {self.mesh_name: settings or ObjectSettings(motion=COARSE)}, frames)
+        for _ in bake.run():
+            pass
+        return bake.finish()
+
+    def offsets(self) -> NDArray[np.float32]:
+        """What our shape keys add to the Basis, (frames, v, 3)."""
+        key = self.mesh.data.shape_keys
+        blocks = [block for block in key.key_blocks if block.name in our_names(key)]
+        return np.array([read_points(block) - read_points(key.reference_key) for block in blocks])
 
 
 def build_character(
@@ -67,7 +107,7 @@ def build_character(
     seam: bool = False,
     animate: bool = True,
 ) -> Character:
-    """A column of height 2 `size`, bound to the bones Lower and Upper; Upper swings about x and back within `frames`."""
+    """A column of height 2 `size` on the bones Lower and Upper; Upper swings about x and back within `frames`."""
     angles = np.linspace(0.0, 2.0 * math.pi, SEGMENTS, endpoint=False)
     heights = np.linspace(0.0, 2.0, RINGS)
     ring = np.column_stack([0.4 * np.cos(angles), 0.4 * np.sin(angles)])
