@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Elastic volumes by finite elements, and the ground truth of secondary motion: backward Euler, one step a frame."""
+"""Elastic volumes by finite elements, the ground truth of secondary motion (backward Euler) and its explicit baseline."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -155,13 +155,13 @@ class StepReport:
 
 
 @dataclass(frozen=True)
-class ImplicitEulerState:
-    """What `ImplicitEuler` carries from frame to frame.
+class ElasticState:
+    """What a solver of this module carries from frame to frame.
 
     Attributes
     ----------
     arrays : tuple of (n, 3) float64
-        Positions, positions a frame before, reference, m.
+        Positions; positions a frame before (`ImplicitEuler`, m) or velocities (`CentralDifferences`, m/s); reference.
     frames : int
         Frames since the reset, -1 before the first one.
     """
@@ -170,8 +170,82 @@ class ImplicitEulerState:
     frames: int
 
 
-class ImplicitEuler:
+class _ElasticSolver:
+    """What the solvers of this module have in common."""
+
+    _core: Any
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices, n."""
+        return int(self._core.vertex_count)
+
+    def reset(self, reference: ArrayLike) -> None:
+        """Start over on the reference (n, 3), m, at rest there.
+
+        Raises
+        ------
+        ValueError
+            On a wrong shape or non-finite numbers; the state is then unchanged.
+        """
+        self._core.reset(_positions("reference", reference))
+
+    def step(self, reference: ArrayLike, next_reference: ArrayLike | None = None) -> FloatArray:
+        """Take one frame.
+
+        Parameters
+        ----------
+        reference : (n, 3) float
+            Where the frame to reach has the vertices without secondary motion, m.
+        next_reference
+            Not used: these solvers do not look ahead.
+
+        Returns
+        -------
+        (n, 3) float64
+            Dynamic positions, m.
+
+        Raises
+        ------
+        ValueError
+            On a wrong shape or non-finite numbers, or before the first reset; the state is then unchanged.
+        """
+        positions: FloatArray = self._core.step(_positions("reference", reference))
+        return positions
+
+    def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
+        """Continue after frames (t + 1, n, 3) that are known, t 0 or more: their last ones become the state."""
+        self.reset(reference[-1])
+        before = dynamic[-2] if len(dynamic) > 1 else dynamic[-1]
+        positions = _positions("dynamic", dynamic[-1])
+        self._core.restore(
+            [positions, self._history(positions, _positions("dynamic", before)), reference[-1]], [len(dynamic) - 1]
+        )
+
+    def _history(self, positions: FloatArray, before: FloatArray) -> FloatArray:
+        """The state's second array."""
+        raise NotImplementedError
+
+    def state(self) -> ElasticState:
+        """Everything carried from frame to frame; `restore` resumes from it bit for bit."""
+        (positions, before, reference), (frames,) = self._core.state()
+        return ElasticState((positions, before, reference), frames)
+
+    def restore(self, state: ElasticState) -> None:
+        """Go back to a state that `state` returned.
+
+        Raises
+        ------
+        ValueError
+            Where it is not a state of so many vertices.
+        """
+        self._core.restore(list(state.arrays), [state.frames])
+
+
+class ImplicitEuler(_ElasticSolver):
     """Backward Euler finite elements: constrained vertices follow the reference, the rest follows them.
+
+    A step that does not converge within the quality's limits is reported by `last_step`; its positions are finite all the same.
 
     Parameters
     ----------
@@ -216,31 +290,21 @@ class ImplicitEuler:
         newton = getattr(_core.NewtonSettings, quality)()
         if tolerance is not None:
             newton.tolerance = float(tolerance)
-        mask: NDArray[np.bool_] = np.asarray(constrained)
-        if mask.shape != (body.vertex_count,) or mask.dtype != np.bool_:
-            raise ValueError(
-                f"constrained: found shape {mask.shape} of {mask.dtype}, expected ({body.vertex_count},) of bool"
-            )
-        down = _numbers("gravity", gravity)
-        if down.shape != (3,):
-            raise ValueError(f"gravity: found shape {down.shape}, expected (3,)")
         pins = np.zeros(0) if pin_stiffness is None else _per_vertex("pin_stiffness", pin_stiffness, body.vertex_count)
         self._core = _core.ImplicitEuler(
             body._core,
             body.material,
-            mask,
+            _mask(constrained, body.vertex_count),
             float(dt),
             newton,
-            down,
+            _vector3("gravity", gravity),
             float(mass_damping),
             float(stiffness_damping),
             pins,
         )
 
-    @property
-    def vertex_count(self) -> int:
-        """Number of vertices, n."""
-        return int(self._core.vertex_count)
+    def _history(self, positions: FloatArray, before: FloatArray) -> FloatArray:
+        return before
 
     @property
     def last_step(self) -> StepReport:
@@ -248,53 +312,79 @@ class ImplicitEuler:
         last = self._core.last_step
         return StepReport(last.converged, last.iterations, last.linear_iterations, last.residual)
 
-    def reset(self, reference: ArrayLike) -> None:
-        """Start over on the reference (n, 3), m, at rest there.
 
-        Raises
-        ------
-        ValueError
-            On a wrong shape or non-finite numbers; the state is then unchanged.
-        """
-        self._core.reset(_positions("reference", reference))
+class CentralDifferences(_ElasticSolver):
+    """The explicit baseline of [DE, eq. 2]: cheap steps with the lumped mass, of which a frame needs many.
 
-    def step(self, reference: ArrayLike, next_reference: ArrayLike | None = None) -> FloatArray:
-        """Take one frame.
+    Parameters
+    ----------
+    body
+        What moves.
+    constrained : (n,) bool
+        Vertices that take the reference, in a straight line over a frame.
+    dt
+        Seconds a frame.
+    substeps
+        Steps a frame; None: as many as are stable where each frame starts. Too few, and the body explodes.
+    gravity
+        m/s².
+    mass_damping
+        Rayleigh's alpha, 1/s.
 
-        Parameters
-        ----------
-        reference : (n, 3) float
-            Where the frame to reach has the vertices without secondary motion, m.
-        next_reference
-            Not used: backward Euler does not look ahead.
+    Raises
+    ------
+    ValueError
+        On shapes that do not fit, constants out of range, or where no vertex is free.
+    """
 
-        Returns
-        -------
-        (n, 3) float64
-            Dynamic positions, m, finite even where the step did not converge (`last_step` tells).
+    def __init__(
+        self,
+        body: ElasticBody,
+        constrained: ArrayLike,
+        dt: float,
+        *,
+        substeps: int | None = None,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+        mass_damping: float = 0.0,
+    ) -> None:
+        if substeps is not None and substeps < 1:
+            raise ValueError(f"substeps: found {substeps}, expected 1 or more")
+        self._dt = float(dt)
+        self._core = _core.CentralDifferences(
+            body._core,
+            body.material,
+            _mask(constrained, body.vertex_count),
+            float(dt),
+            substeps or 0,
+            _vector3("gravity", gravity),
+            float(mass_damping),
+        )
 
-        Raises
-        ------
-        ValueError
-            On a wrong shape or non-finite numbers, or before the first reset; the state is then unchanged.
-        """
-        positions: FloatArray = self._core.step(_positions("reference", reference))
-        return positions
+    def _history(self, positions: FloatArray, before: FloatArray) -> FloatArray:
+        return (positions - before) / self._dt
 
-    def state(self) -> ImplicitEulerState:
-        """Everything carried from frame to frame; `restore` resumes from it bit for bit."""
-        (positions, before, reference), (frames,) = self._core.state()
-        return ImplicitEulerState((positions, before, reference), frames)
+    @property
+    def last_substeps(self) -> int:
+        """Steps that the last frame took."""
+        return int(self._core.last_substeps)
 
-    def restore(self, state: ImplicitEulerState) -> None:
-        """Go back to a state that `state` returned.
+    def stable_step(self, positions: ArrayLike) -> float:
+        """Longest stable step near positions (n, 3), s."""
+        return float(self._core.stable_step(_positions("positions", positions)))
 
-        Raises
-        ------
-        ValueError
-            Where it is not a state of so many vertices.
-        """
-        self._core.restore(list(state.arrays), [state.frames])
+
+def _mask(values: ArrayLike, count: int) -> NDArray[np.bool_]:
+    mask: NDArray[np.bool_] = np.asarray(values)
+    if mask.shape != (count,) or mask.dtype != np.bool_:
+        raise ValueError(f"constrained: found shape {mask.shape} of {mask.dtype}, expected ({count},) of bool")
+    return mask
+
+
+def _vector3(name: str, values: ArrayLike) -> FloatArray:
+    vector = _numbers(name, values)
+    if vector.shape != (3,):
+        raise ValueError(f"{name}: found shape {vector.shape}, expected (3,)")
+    return vector
 
 
 def _positions(name: str, values: ArrayLike) -> FloatArray:

@@ -56,7 +56,8 @@ class Springs:
             raise ValueError(f"pinned: found shape {mask.shape} of {mask.dtype}, expected ({len(stiffness)},) of bool")
         if pinned is not None and len(mask) != len(stiffness):
             raise ValueError(f"pinned: found shape {mask.shape}, expected ({len(stiffness)},)")
-        self._core = _core.Springs(stiffness, damping, float(dt), mask)
+        self._dt = float(dt)
+        self._core = _core.Springs(stiffness, damping, self._dt, mask)
 
     @property
     def vertex_count(self) -> int:
@@ -102,6 +103,17 @@ class Springs:
         after = None if next_reference is None else _positions("next_reference", next_reference)
         positions: FloatArray = self._core.evaluate(float(fraction), _positions("reference", reference), after)
         return positions
+
+    def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
+        """Continue after frames (t + 1, n, 3) that are known, t 0 or more; the velocity is their last difference."""
+        if len(dynamic) == 1:
+            self.reset(reference[0])
+            if np.array_equal(dynamic[0], reference[0]):
+                return
+        before = max(len(dynamic) - 2, 0)
+        velocities = (dynamic[-1] - dynamic[before]) / self._dt
+        arrays = (dynamic[-1], velocities, reference[-1], reference[before])
+        self.restore(SpringsState(arrays, len(dynamic) - 1))
 
     def state(self) -> SpringsState:
         """Everything carried from frame to frame; `restore` resumes from it bit for bit."""

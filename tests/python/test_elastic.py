@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from followthrough.elastic import ElasticBody, ImplicitEuler, MaterialName, Quality
+from followthrough.elastic import CentralDifferences, ElasticBody, ImplicitEuler, MaterialName, Quality
 
 _spec = importlib.util.spec_from_file_location("plain_elastic", Path(__file__).with_name("plain_elastic.py"))
 assert _spec is not None and _spec.loader is not None
@@ -336,7 +336,7 @@ def test_a_step_that_cannot_converge_says_so() -> None:
     solver.reset(rest)
     solver.step(rest + np.array([0.3, 0.1, 0.0]))
     assert not solver.last_step.converged
-    assert solver.last_step.iterations == 2
+    assert solver.last_step.iterations == 3
 
 
 def test_inverted_rest_tets_warn_and_still_rest() -> None:
@@ -393,3 +393,72 @@ def test_bad_solvers_and_references_are_refused() -> None:
     with pytest.raises(ValueError, match="reference"):
         solver.step(np.full_like(rest, np.nan))
     assert solver.state().frames == 0
+
+
+def test_central_differences_explode_at_one_step_a_frame_and_are_stable_at_a_hundred() -> None:
+    rest, tets = bar(5, 2, 2)
+    body = ElasticBody(rest, tets, 5e5)
+    motion = [rest + 0.3 * (reference - rest) for reference in swung(rest, 30)]
+    largest = {}
+    for substeps in (1, 100, None):
+        solver = CentralDifferences(body, rest[:, 0] < 0.1, DT, substeps=substeps)
+        solver.reset(motion[0])
+        for reference in motion[1:]:
+            x = solver.step(reference)
+            if not np.isfinite(x).all():
+                break
+        largest[substeps] = np.abs(x - reference).max()
+        assert solver.last_substeps == substeps or (substeps is None and solver.last_substeps > 10)
+    assert not largest[1] < 1e3
+    assert largest[100] < 2 and largest[None] < 2
+
+
+def test_central_differences_are_of_second_order_and_keep_the_energy() -> None:
+    rest, tets = bar(3, 1, 1)
+    body = ElasticBody(rest, tets, 1e5, compression_resistance=0.0)
+    constrained = rest[:, 0] < 0.1
+    start = rest + 0.05 * rest[:, :1] * [0.0, 1.0, 0.5]
+    ends = []
+    for substeps in (200, 400, 800):
+        solver = CentralDifferences(body, constrained, DT, substeps=substeps)
+        solver.reset(rest)
+        solver.resume(np.array([start]), np.array([rest]))
+        for _ in range(4):
+            x = solver.step(rest)
+        velocities = solver.state().arrays[1]
+        ends.append(x)
+        mass = body.lumped_mass[:, None] * ~constrained[:, None]
+        energy = body.energy(x) + 0.5 * np.sum(mass * velocities**2)
+        assert energy == pytest.approx(body.energy(start), rel=1e-3)
+    assert np.abs(ends[1] - ends[2]).max() == pytest.approx(np.abs(ends[0] - ends[1]).max() / 4, rel=0.05)
+
+
+def test_the_stable_step_is_where_a_mode_starts_to_grow() -> None:
+    rest, tets = bar(2, 1, 1)
+    body = ElasticBody(rest, tets, 1e5, compression_resistance=0.0)
+    constrained = rest[:, 0] < 0.1
+    stable = CentralDifferences(body, constrained, DT).stable_step(rest)
+    free = np.flatnonzero(~np.repeat(constrained, 3))
+    stiffness = np.array([body.stiffness_product(rest, unit.reshape(rest.shape)).ravel() for unit in np.eye(rest.size)])
+    scaled = stiffness[np.ix_(free, free)] / np.repeat(body.lumped_mass, 3)[free]
+    assert stable == pytest.approx(2 / math.sqrt(np.abs(np.linalg.eigvals(scaled)).max()), rel=0.05)
+
+
+def test_central_differences_resume_and_refuse() -> None:
+    rest, tets = bar(2, 1, 1)
+    body = ElasticBody(rest, tets, 1e5)
+    constrained = rest[:, 0] < 0.1
+    solver = CentralDifferences(body, constrained, DT, mass_damping=2.0, gravity=[0, 0, -1])
+    motion = list(swung(rest, 6))
+    solver.reset(motion[0])
+    solver.step(motion[1])
+    state = solver.state()
+    first = solver.step(motion[2])
+    solver.step(motion[3])
+    solver.restore(state)
+    np.testing.assert_array_equal(solver.step(motion[2]), first)
+    for substeps in (0, -3, 10**6):
+        with pytest.raises(ValueError, match="substeps"):
+            CentralDifferences(body, constrained, DT, substeps=substeps)
+    with pytest.raises(ValueError, match="no free vertex"):
+        CentralDifferences(body, np.ones(len(rest), dtype=bool), DT)

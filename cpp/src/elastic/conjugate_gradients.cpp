@@ -39,9 +39,7 @@ bool positive_definite(const Block& block) {
   return block(0, 0) > 0 && minor > 0 && block.determinant() > 0;
 }
 
-Index range_count(const BlockMatrix& matrix) {
-  return static_cast<Index>((matrix.row_count() + range_size - 1) / range_size);
-}
+Index range_count(const BlockMatrix& matrix) { return static_cast<Index>((matrix.row_count() + range_size - 1) / range_size); }
 
 Index range_end(const BlockMatrix& matrix, Index range) {
   return std::min((range + 1) * range_size, static_cast<Index>(matrix.row_count()));
@@ -56,7 +54,6 @@ void BlockPreconditioner::compute(const BlockMatrix& matrix) {
   upper_.resize(rows);
   inverse_diagonal_.resize(9 * rows + 1);
   blocks_.resize(9 * matrix.blocks().size());
-  work_.resize(4 * rows);
   double largest = 0;
   for (const Index k : matrix.diagonal()) largest = std::max(largest, matrix.blocks()[k].diagonal().cwiseAbs().maxCoeff());
   scale_ = largest > 0 ? 1 / largest : 1;  // single precision has a short range
@@ -78,27 +75,26 @@ void BlockPreconditioner::compute_range(const BlockMatrix& matrix, Index first, 
       Eigen::Map<Eigen::Matrix3f>(blocks_.data() + 9 * std::size_t(k)) = (scale_ * matrix.blocks()[k]).cast<float>();
     }
     const Block own = scale_ * matrix.blocks()[diagonal];
-    Eigen::Matrix3f taken = Eigen::Matrix3f::Zero();
+    Block reduced = own;
     for (Index k = lower_[row]; k < diagonal; ++k) {
-      const Eigen::Map<const Eigen::Matrix3f> block(blocks_.data() + 9 * std::size_t(k));
-      const Eigen::Map<const Eigen::Matrix3f> inverse(inverse_diagonal_.data() + 9 * std::size_t(columns[k]));
-      taken.noalias() += (block * inverse).eval() * block.transpose();
+      const Block block = Eigen::Map<const Eigen::Matrix3f>(blocks_.data() + 9 * std::size_t(k)).cast<double>();
+      const Eigen::Map<const Block> inverse(inverse_diagonal_.data() + 9 * std::size_t(columns[k]));
+      reduced.noalias() -= (block * inverse).eval() * block.transpose();
     }
-    Block reduced = own - taken.cast<double>();
     if (!positive_definite(reduced - smallest_pivot * own)) reduced = own;
     if (!positive_definite(reduced)) reduced = Block::Identity() * std::max(std::abs(own.trace()), 1e-12);
-    Eigen::Map<Eigen::Matrix3f>(inverse_diagonal_.data() + 9 * std::size_t(row)) = reduced.inverse().cast<float>();
+    const Block inverse = reduced.inverse();
+    Eigen::Map<Block>(inverse_diagonal_.data() + 9 * std::size_t(row)) = 0.5 * (inverse + inverse.transpose());
   }
 }
 
-void BlockPreconditioner::apply(const Vector& r, double size, Vector& z) const {
+void BlockPreconditioner::apply(const Vector& r, Vector& z) const {
   const auto kernel = solve_rows_kernel();
   const TriangularRows factor{lower_.data(),  pattern_->diagonal().data(), upper_.data(), pattern_->columns().data(),
                               blocks_.data(), inverse_diagonal_.data()};
-  const double scale = 1 / size, unscale = size * scale_;
 #pragma omp parallel for schedule(static) if (range_count(*pattern_) > 1)
   for (Index range = 0; range < range_count(*pattern_); ++range) {
-    kernel(factor, scale, r.data(), unscale, z.data(), work_.data(), range * range_size, range_end(*pattern_, range));
+    kernel(factor, scale_, r.data(), z.data(), range * range_size, range_end(*pattern_, range));
   }
 }
 
@@ -110,7 +106,7 @@ LinearReport solve(const BlockMatrix& matrix, const BlockPreconditioner& precond
   const double goal = tolerance * size;
   if (!(size > 0)) return report;
   Vector residual = b, z(b.size()), product(b.size());
-  preconditioner.apply(residual, size, z);
+  preconditioner.apply(residual, z);
   Vector direction = z;
   double slope = residual.dot(z);
   while (report.iterations < most_iterations && size > goal) {
@@ -125,7 +121,7 @@ LinearReport solve(const BlockMatrix& matrix, const BlockPreconditioner& precond
     residual -= step * product;
     size = residual.norm();
     ++report.iterations;
-    preconditioner.apply(residual, size, z);
+    preconditioner.apply(residual, z);
     const double new_slope = residual.dot(z);
     direction = z + (new_slope / slope) * direction;
     slope = new_slope;

@@ -7,13 +7,13 @@
 namespace followthrough {
 
 /// Incomplete Cholesky factor without fill-in, A ~ (L + D) D^-1 (L + D)^T with L the strictly lower part of A: only the diagonal
-/// blocks are changed. Kept in single precision, and within ranges of rows that know nothing of each other, one a thread.
+/// blocks are changed. L is kept in single precision (rounded alike on both sides, so that all stays symmetric), and within ranges
+/// of rows that know nothing of each other, one a thread.
 class BlockPreconditioner {
  public:
   void compute(const BlockMatrix& matrix);
   /// z = preconditioner^-1 r
-  /// @param size about that of r's entries
-  void apply(const Vector& r, double size, Vector& z) const;
+  void apply(const Vector& r, Vector& z) const;
 
  private:
   void compute_range(const BlockMatrix& matrix, Index first, Index last);
@@ -21,8 +21,8 @@ class BlockPreconditioner {
   const BlockMatrix* pattern_ = nullptr;
   double scale_ = 1;
   std::vector<Index> lower_, upper_;
-  std::vector<float> blocks_, inverse_diagonal_;
-  mutable std::vector<float> work_;
+  std::vector<float> blocks_;
+  std::vector<double> inverse_diagonal_;
 };
 
 struct LinearReport {

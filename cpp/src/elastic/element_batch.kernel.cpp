@@ -5,6 +5,10 @@
 // lambda F g_a (F g_b)^T + bulk A g_a (A g_b)^T + pressure [y -> y x F (g_a x g_b)], all times the volume.
 #include "elastic/element_batch.hpp"
 
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC diagnostic ignored "-Wpsabi"  // vectors wider than the registers never leave this file
+#endif
+
 #if defined(__GNUC__) || defined(__clang__)
 #define FOLLOWTHROUGH_VECTORS
 #endif
@@ -29,7 +33,7 @@ struct Matrix {
 };
 
 inline Number load(const double* from) noexcept { return *reinterpret_cast<const Number*>(from); }
-inline void store(Number value, double* to) noexcept { *reinterpret_cast<Number*>(to) = value; }
+inline void store(const Number& value, double* to) noexcept { *reinterpret_cast<Number*>(to) = value; }
 inline Vector load(const double (*from)[batch_lanes], int lane) noexcept {
   return {load(from[0] + lane), load(from[1] + lane), load(from[2] + lane)};
 }
@@ -46,7 +50,7 @@ inline Number dot(const Vector& a, const Vector& b) noexcept { return a.x * b.x 
 inline Vector cross(const Vector& a, const Vector& b) noexcept {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
-inline Vector times(const Vector& a, Number s) noexcept { return {a.x * s, a.y * s, a.z * s}; }
+inline Vector times(const Vector& a, const Number& s) noexcept { return {a.x * s, a.y * s, a.z * s}; }
 inline Vector sum(const Vector& a, const Vector& b) noexcept { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
 inline Vector product(const Matrix& m, const Vector& v) noexcept { return {dot(m.x, v), dot(m.y, v), dot(m.z, v)}; }
 // Row vector times matrix.
@@ -82,7 +86,8 @@ inline Strain strain(const BatchConstants& k, ElementBatch& b, int lane, double 
   const Number mu = load(k.mu + lane), lambda = load(k.lambda + lane), resistance = load(k.compression_resistance + lane);
   const Number ex = 0.5 * (xx - 1.0), ey = 0.5 * (yy - 1.0), ez = 0.5 * (zz - 1.0);
   const Number trace = ex + ey + ez, tension = lambda * trace, twice = 2.0 * mu;
-  r.s = {{twice * ex + tension, mu * xy, mu * xz}, {mu * xy, twice * ey + tension, mu * yz}, {mu * xz, mu * yz, twice * ez + tension}};
+  r.s = {
+      {twice * ex + tension, mu * xy, mu * xz}, {mu * xy, twice * ey + tension, mu * yz}, {mu * xz, mu * yz, twice * ez + tension}};
   const Number gap = 1.0 - volume;
   const Number squeeze = gap > 0.0 ? gap : none;
   r.pressure = resistance * squeeze * squeeze * (-1.0 / 576.0);
@@ -95,8 +100,8 @@ inline Strain strain(const BatchConstants& k, ElementBatch& b, int lane, double 
 }
 
 // A row of a stiffness block: rows of the terms named at the top.
-inline Vector block_row(Number near, const Vector& left, Number by_a, const Vector& moved_a, Number by_c, const Vector& moved_c,
-                        Number by_normal, const Vector& normal_c) noexcept {
+inline Vector block_row(const Number& near, const Vector& left, const Number& by_a, const Vector& moved_a, const Number& by_c, const Vector& moved_c,
+                        const Number& by_normal, const Vector& normal_c) noexcept {
   return sum(sum(times(left, near), times(moved_a, by_c)), sum(times(moved_c, by_a), times(normal_c, by_normal)));
 }
 

@@ -46,7 +46,7 @@ struct ImplicitEuler::Parts {
   double dt;
   NewtonSettings newton;
   ExternalForces forces;
-  std::vector<Index> rows, free;  // row of every vertex or -1; vertex of every row
+  std::vector<Index> rows, free;          // row of every vertex or -1; vertex of every row
   BlockMatrix matrix, constant, damping;  // constant: mass, its damping, and pins
   BlockPreconditioner preconditioner;
   Positions positions, before, reference;
@@ -240,8 +240,22 @@ ImplicitEuler::ImplicitEuler(const ElasticBody& body, std::shared_ptr<const Mate
                                dt * dt * forces.pin_stiffness[free[row]] * BlockMatrix::Block::Identity());
     }
   }
-  parts_ = std::make_unique<Parts>(Parts{body, std::move(material), dt, newton, forces, std::move(rows), std::move(free), empty,
-                                         std::move(constant), empty, {}, {}, {}, {}, -1, {}});
+  parts_ = std::make_unique<Parts>(Parts{body,
+                                         std::move(material),
+                                         dt,
+                                         newton,
+                                         forces,
+                                         std::move(rows),
+                                         std::move(free),
+                                         empty,
+                                         std::move(constant),
+                                         empty,
+                                         {},
+                                         {},
+                                         {},
+                                         {},
+                                         -1,
+                                         {}});
 }
 
 ImplicitEuler::~ImplicitEuler() = default;

@@ -12,6 +12,7 @@
 #include "elastic/blocks.hpp"
 #include "elastic/conjugate_gradients.hpp"
 #include "followthrough/errors.hpp"
+#include "instruction_set.hpp"
 
 using namespace followthrough;
 
@@ -103,6 +104,53 @@ TEST_CASE("steps have the same bits for any number of threads, and resume from a
     }
   }
   omp_set_num_threads(usual);
+}
+
+TEST_CASE("steps have the same bits with every instruction set") {
+  const Scene s = scene(4, 2, 2);
+  const InstructionSet usual = instruction_set();
+  std::vector<Positions> expected;
+  for (const InstructionSet set : available_instruction_sets()) {
+    use_instruction_set(set);
+    ImplicitEuler solver(s.body, std::make_shared<InvertibleStVK>(), s.constrained, 1.0 / 30);
+    solver.reset(s.block.vertices);
+    for (int frame = 1; frame < 4; ++frame) solver.step(shaken(s.block.vertices, frame));
+    expected.push_back(solver.state().arrays[0]);
+    CHECK(std::memcmp(expected.back().data(), expected.front().data(),
+                      sizeof(double) * static_cast<std::size_t>(expected.front().size())) == 0);
+  }
+  use_instruction_set(usual);
+}
+
+TEST_CASE("the closed form gives the forces and the stiffness of the decomposition") {
+  // A material that the closed form does not know, with the same response.
+  class Decomposed final : public Material {
+   public:
+    PrincipalResponse respond(const Eigen::Vector3d& stretches, const Moduli& constants) const override {
+      return InvertibleStVK().respond(stretches, constants);
+    }
+  };
+  const Scene s = scene(3, 2, 2);
+  const Eigen::Index count = s.body.vertex_count();
+  std::vector<Index> rows(static_cast<std::size_t>(count));
+  for (Eigen::Index v = 0; v < count; ++v) rows[v] = static_cast<Index>(v);
+  for (const double size : {0.0, 0.01, 0.05, 0.2}) {
+    const Positions bent = s.block.vertices + size * Positions::Random(count, 3), change = Positions::Random(count, 3);
+    double energy = 0, expected_energy = 0;
+    const Positions forces = s.body.internal_forces(bent, InvertibleStVK(), &energy);
+    const Positions expected = s.body.internal_forces(bent, Decomposed(), &expected_energy);
+    CHECK((forces - expected).norm() <= 1e-12 * expected.norm() + 1e-9);
+    CHECK(energy == doctest::Approx(expected_energy).epsilon(1e-12));
+    Positions products[2] = {Positions(count, 3), Positions(count, 3)};
+    for (const bool closed : {false, true}) {
+      BlockMatrix matrix(s.body.corners(), rows);
+      const InvertibleStVK stvk;
+      const Decomposed decomposed;
+      s.body.add_stiffness(bent, closed ? static_cast<const Material&>(stvk) : decomposed, Definiteness::kSymmetric, 1.0, matrix);
+      matrix.multiply(change.data(), products[closed].data());
+    }
+    CHECK((products[0] - products[1]).norm() < 1e-12 * products[0].norm());
+  }
 }
 
 TEST_CASE("bad input is refused and changes nothing") {

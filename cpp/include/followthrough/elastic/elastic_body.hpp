@@ -92,7 +92,7 @@ class ElasticBody {
   Vector lumped_mass_;
   std::vector<std::array<Index, 4>> corners_;
   std::vector<Element> elements_;
-  std::vector<BatchConstants> batches_;  // the same as elements_, for the closed form
+  std::vector<BatchConstants> batches_;         // the same as elements_, for the closed form
   std::vector<Index> color_starts_, clusters_;  // clusters by colour; no two of a colour share a vertex
 };
 

@@ -21,8 +21,8 @@ struct NewtonSettings {
   int most_linear_iterations = 2000;
 
   static NewtonSettings converged() { return {}; }
-  static NewtonSettings fine() { return {1e-3, 12, 100}; }
-  static NewtonSettings preview() { return {1e-1, 2, 20}; }
+  static NewtonSettings fine() { return {1e-3, 12, 300}; }
+  static NewtonSettings preview() { return {1e-2, 3, 30}; }
 };
 
 /// Forces besides elasticity; all off as they come.

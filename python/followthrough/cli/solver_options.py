@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Arguments that choose a solver and its constants, the same for every command that runs one."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from followthrough.elastic import MATERIALS, QUALITIES, CentralDifferences, ElasticBody, ImplicitEuler, Quality
+from followthrough.simulation import DEFAULT_DAMPING_RATIO, DEFAULT_STIFFNESS, load_constants, uniform_constants
+from followthrough.springs import Springs
+
+if TYPE_CHECKING:
+    from followthrough.sequences import Sequence
+
+#: Solver -> the options that it has.
+OPTIONS = {
+    "springs": ("springs", "stiffness", "damping"),
+    "implicit-euler": ("quality", "tolerance", "material"),
+    "central-differences": ("substeps", "material"),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add them to a command."""
+    parser.add_argument(
+        "--solver",
+        metavar="NAME",
+        default="springs",
+        help="springs (default), or finite elements of the sequence's own material: implicit-euler, central-differences",
+    )
+    springs = parser.add_argument_group("springs")
+    springs.add_argument(
+        "--springs",
+        metavar="SPRINGS.npz",
+        type=Path,
+        help="constants of every vertex: arrays ks (n,), 1/s², and kd (n,), 1/s",
+    )
+    springs.add_argument(
+        "--stiffness", metavar="KS", type=float, help=f"ks of every vertex, 1/s² (default {DEFAULT_STIFFNESS:g})"
+    )
+    springs.add_argument(
+        "--damping",
+        metavar="KD",
+        type=float,
+        help=f"kd of every vertex, 1/s (default {DEFAULT_DAMPING_RATIO:g} of critical damping, 2 sqrt(ks))",
+    )
+    elastic = parser.add_argument_group("finite elements")
+    elastic.add_argument(
+        "--quality",
+        choices=QUALITIES,
+        help=f"of implicit-euler: {', '.join(QUALITIES[:-1])} or {QUALITIES[-1]} (default)",
+    )
+    elastic.add_argument(
+        "--tolerance",
+        metavar="T",
+        type=float,
+        help="of implicit-euler: relative residual at which a frame has converged (default: the quality's)",
+    )
+    elastic.add_argument(
+        "--substeps",
+        metavar="N",
+        type=int,
+        help="of central-differences: steps a frame (default: as many as are stable)",
+    )
+    elastic.add_argument(
+        "--material",
+        choices=MATERIALS,
+        help=f"{MATERIALS[0]} (default) or {MATERIALS[1]}, linear and without resistance",
+    )
+
+
+def check(args: argparse.Namespace) -> None:
+    """Refuse a solver that is not there, and options of another one.
+
+    Raises
+    ------
+    ValueError
+        Naming the option.
+    """
+    if args.solver not in OPTIONS:
+        raise ValueError(f"--solver: {args.solver} is not a solver, expected {' or '.join(OPTIONS)}")
+    for name in sorted({name for names in OPTIONS.values() for name in names} - set(OPTIONS[args.solver])):
+        if getattr(args, name) is not None:
+            owners = " or ".join(solver for solver, names in OPTIONS.items() if name in names)
+            raise ValueError(f"--{name}: found together with --solver {args.solver}, expected only with {owners}")
+    if args.springs is not None and (args.stiffness is not None or args.damping is not None):
+        raise ValueError(
+            "--springs: found together with --stiffness or --damping, expected either the file or the numbers"
+        )
+
+
+def make_solver(sequence: Sequence, args: argparse.Namespace) -> Springs | ImplicitEuler | CentralDifferences:
+    """The solver that the arguments ask for, made for a sequence. What is odd about it goes to standard error.
+
+    Raises
+    ------
+    ValueError
+        Where sequence and arguments do not make one.
+    """
+    if args.solver == "springs":
+        if args.springs is not None:
+            stiffness, damping = load_constants(args.springs, sequence.vertex_count)
+        else:
+            stiffness, damping = uniform_constants(sequence.vertex_count, args.stiffness, args.damping)
+        return Springs(stiffness, damping, sequence.dt, sequence.constrained)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        body = ElasticBody.of_sequence(sequence, args.material or MATERIALS[0])
+    for warning in caught:
+        print(f"followthrough: warning: {args.sequence}: {warning.message}", file=sys.stderr)
+    if args.solver == "central-differences":
+        return CentralDifferences(body, sequence.constrained, sequence.dt, substeps=args.substeps)
+    quality: Quality = args.quality or "converged"
+    return ImplicitEuler(body, sequence.constrained, sequence.dt, quality=quality, tolerance=args.tolerance)
