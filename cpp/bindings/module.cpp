@@ -20,5 +20,6 @@ PYBIND11_MODULE(_core, m) {
       pybind11::arg("threads"), "Sets how many threads the core works with. Results do not depend on it.");
   followthrough::bind_mesh(m);
   followthrough::bind_skinning(m);
+  followthrough::bind_motion(m);  // before the solvers: it binds their base
   followthrough::bind_springs(m);
 }

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,6 +58,11 @@ class Springs:
         if pinned is not None and len(mask) != len(stiffness):
             raise ValueError(f"pinned: found shape {mask.shape}, expected ({len(stiffness)},)")
         self._core = _core.Springs(stiffness, damping, float(dt), mask)
+
+    @property
+    def core(self) -> Any:
+        """The native solver, for the parts of the core that drive one."""
+        return self._core
 
     @property
     def vertex_count(self) -> int:
