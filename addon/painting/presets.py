@@ -22,11 +22,11 @@ class Preset:
 
 
 PRESETS = {
-    "BELLY": Preset("Belly", "Heavy and slow, swings a few times", 1.4, 6.0, 0.2),
-    "EARS": Preset("Ears", "Light and floppy, swings on for long", 1.8, 8.0, 0.12),
-    "TAIL": Preset("Tail", "Trails far behind and swings out slowly", 0.9, 5.0, 0.15),
-    "JOWLS": Preset("Jowls", "Loose skin, shakes fast and soon settles", 2.8, 9.0, 0.25),
-    "MUSCLE": Preset("Muscle", "Firm flesh, a short jiggle on impact", 5.0, 14.0, 0.4),
+    "BELLY": Preset("Belly", "Heavy and slow, swings a few times", 3.0, 9.0, 0.25),
+    "EARS": Preset("Ears", "Light and floppy, swings on for long", 2.6, 10.0, 0.15),
+    "TAIL": Preset("Tail", "Trails far behind and swings out slowly", 2.4, 8.0, 0.2),
+    "JOWLS": Preset("Jowls", "Loose skin, shakes fast and soon settles", 4.5, 13.0, 0.3),
+    "MUSCLE": Preset("Muscle", "Firm flesh, a short jiggle on impact", 7.0, 18.0, 0.4),
 }
 
 

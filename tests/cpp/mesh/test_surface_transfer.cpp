@@ -44,6 +44,19 @@ TEST_CASE("transferred values stay in range, and weights stay weights") {
   CHECK(c.transfer()(Values::Constant(weights.rows(), 1, 0.3)).isApproxToConstant(0.3, 1e-13));
 }
 
+TEST_CASE("weights stay weights in badly shaped tets, too") {
+  Case c;
+  Eigen::Matrix3d shear;
+  shear << 1, 0.9, 0, 0, 1, 0, 0.8, 0, 0.15;
+  c.shape.vertices = Positions(c.shape.vertices * shear);
+  c.volume.vertices = Positions(c.volume.vertices * shear);
+  Values weights = Values::Zero(c.shape.vertices.rows(), 8);
+  for (Eigen::Index v = 0; v < weights.rows(); ++v) weights(v, v * 7919 % 8) = 1;
+  const Values carried = c.transfer()(weights);
+  CHECK(carried.minCoeff() >= 0);
+  CHECK((carried.rowwise().sum().array() - 1).abs().maxCoeff() < 1e-12);
+}
+
 TEST_CASE("inside, values are harmonic: nearly linear where the surface's are") {
   const Case c;
   const Values carried = c.transfer()(c.shape.vertices);

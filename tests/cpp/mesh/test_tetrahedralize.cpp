@@ -116,9 +116,15 @@ TEST_CASE("broken surfaces give the volume of the sound one") {
   const TetVolume sound = voxel(sphere, 14);
   const auto same_cells = [&](const shapes::Shape& shape) {
     const TetVolume volume = voxel(shape, 14);
-    return volume.cell_count == sound.cell_count && volume.tets == sound.tets;
+    return volume.cell_count == sound.cell_count && volume.tets == sound.tets && volume.vertices.isApprox(sound.vertices, 1e-6);
   };
   SUBCASE("unwelded") { CHECK(same_cells(shapes::unwelded(sphere))); }
+  SUBCASE("unwelded with rounding, every third face turned") {
+    shapes::Shape torn = shapes::unwelded(sphere);
+    for (Eigen::Index t = 0; t < torn.triangles.rows(); t += 3) std::swap(torn.triangles(t, 1), torn.triangles(t, 2));
+    for (Eigen::Index v = 0; v < torn.vertices.rows(); ++v) torn.vertices(v, v % 3) *= 1 + 1e-7 * static_cast<double>(v % 5 - 2);
+    CHECK(same_cells({torn.vertices, torn.triangles}));
+  }
   SUBCASE("inside out") { CHECK(same_cells(shapes::inside_out(sphere))); }
   SUBCASE("every third face turned") {
     shapes::Shape turned = sphere;
