@@ -15,7 +15,8 @@ namespace followthrough {
 namespace {
 
 py::tuple as_tuple(MotionFrame frame) {
-  return py::make_tuple(std::move(frame.offsets), std::move(frame.displacements), frame.largest_displacement, frame.largest_residual);
+  return py::make_tuple(std::move(frame.offsets), std::move(frame.displacements), frame.largest_displacement,
+                        frame.largest_residual);
 }
 
 }  // namespace
@@ -30,15 +31,21 @@ void bind_motion(py::module_& m) {
            py::arg("bone_matrices"), py::arg("armature"), py::arg("world"));
 
   py::class_<RiggedMotion>(m, "RiggedMotion", "One character's frames. Use followthrough.secondary_motion.SecondaryMotion.")
-      .def(py::init([](ConstPositions volume_rest_positions, ConstIndexTable volume_bones, ConstValues volume_weights, ConstTets tets,
-                       ConstIndices embedding_tets, ConstWeights4 embedding_weights, ConstIndexTable surface_bones,
+      .def(py::init([](ConstPositions volume_rest_positions, ConstIndexTable volume_bones, ConstValues volume_weights,
+                       ConstTets tets, ConstIndices embedding_tets, ConstWeights4 embedding_weights, ConstIndexTable surface_bones,
                        ConstValues surface_weights, ConstMatrices4 bone_rest_matrices, bool dual_quaternion, double minimum_stretch,
                        Solver& solver) {
-             return std::make_unique<RiggedMotion>(
-                 RiggedCharacter{volume_rest_positions, volume_bones, volume_weights, tets, {embedding_tets, embedding_weights},
-                                 surface_bones, surface_weights, bone_rest_matrices,
-                                 dual_quaternion ? Skinning::dual_quaternion : Skinning::linear, minimum_stretch},
-                 solver);
+             return std::make_unique<RiggedMotion>(RiggedCharacter{volume_rest_positions,
+                                                                   volume_bones,
+                                                                   volume_weights,
+                                                                   tets,
+                                                                   {embedding_tets, embedding_weights},
+                                                                   surface_bones,
+                                                                   surface_weights,
+                                                                   bone_rest_matrices,
+                                                                   dual_quaternion ? Skinning::dual_quaternion : Skinning::linear,
+                                                                   minimum_stretch},
+                                                   solver);
            }),
            py::arg("volume_rest_positions"), py::arg("volume_bones"), py::arg("volume_weights"), py::arg("tets"),
            py::arg("embedding_tets"), py::arg("embedding_weights"), py::arg("surface_bones"), py::arg("surface_weights"),

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
-/// A rigged character's way through one frame, from the bones' pose to the offsets of its rest shape: reference, solver, embedding and
-/// inverse skinning in one pass, on the caller's thread or on one of its own while the caller prepares the next pose.
+/// A rigged character's way through one frame, from the bones' pose to the offsets of its rest shape: reference, solver, embedding
+/// and inverse skinning in one pass, on the caller's thread or on one of its own while the caller prepares the next pose.
 #pragma once
 
 #include <memory>
@@ -29,9 +29,9 @@ struct RiggedCharacter {
 
 /// One frame of the rig.
 struct RigPose {
-  Matrices4 bone_matrices;    ///< (b,16) object space at rest to object space posed
-  Eigen::Matrix4d armature;   ///< armature's space to object space
-  Eigen::Matrix4d world;      ///< object space to the world, m
+  Matrices4 bone_matrices;   ///< (b,16) object space at rest to object space posed
+  Eigen::Matrix4d armature;  ///< armature's space to object space
+  Eigen::Matrix4d world;     ///< object space to the world, m
 };
 
 /// Result of one frame.
