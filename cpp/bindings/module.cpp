@@ -21,5 +21,6 @@ PYBIND11_MODULE(_core, m) {
   followthrough::bind_elastic(m);
   followthrough::bind_mesh(m);
   followthrough::bind_skinning(m);
+  followthrough::bind_motion(m);  // before the solvers: it binds their base
   followthrough::bind_springs(m);
 }

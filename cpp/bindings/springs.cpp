@@ -57,7 +57,7 @@ Array evaluate(const Springs& springs, double fraction, const Array& reference, 
 }  // namespace
 
 void bind_springs(py::module_& m) {
-  py::class_<Springs>(m, "Springs", "Analytic zero-restlength springs. Use followthrough.springs.Springs.")
+  py::class_<Springs, Solver>(m, "Springs", "Analytic zero-restlength springs. Use followthrough.springs.Springs.")
       .def(py::init<ConstVector, ConstVector, double, ConstMask>(), py::arg("stiffness"), py::arg("damping"), py::arg("dt"),
            py::arg("pinned"), py::call_guard<py::gil_scoped_release>())
       .def_property_readonly("vertex_count", &Springs::vertex_count)

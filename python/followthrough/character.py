@@ -32,6 +32,8 @@ class Rig:
     bone_rest_matrices : (b, 4, 4) float64 or None
         From a bone's own axes to the armature's space at rest (`Bone.matrix_local`). Dual quaternions need them where
         bones are scaled unevenly.
+    bone_names
+        What the bones are called, where that is known.
     skeleton : (s, 2, 3) float64 or None
         Lines in the mesh's object space along which the flesh is held, where they are not the bones' own segments: imported
         bones often point elsewhere than to the next joint. None: `bone_segments`.
@@ -42,6 +44,7 @@ class Rig:
     bone_segments: FloatArray
     skinning: Skinning = "linear"
     bone_rest_matrices: FloatArray | None = None
+    bone_names: tuple[str, ...] = ()
     skeleton: FloatArray | None = None
 
     @property

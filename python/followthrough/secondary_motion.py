@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from followthrough import skinning
+from followthrough import _core, skinning
 from followthrough.character import BonePose, FloatArray, Paint, Pose, Surface
 from followthrough.settings import Settings, SpringSettings
 from followthrough.springs import Springs
@@ -41,13 +41,16 @@ class Frame:
         What to add to the mesh's rest vertices, in its object space, so that the rig moves them to where the motion wants them.
     displacements : (v, 3) float64
         The secondary motion itself, in the world, metres.
-    residual : float
+    largest_displacement : float
+        Metres.
+    largest_residual : float
         Largest part of a displacement that no offset can reach because the rig flattens the skin there, metres.
     """
 
     offsets: FloatArray
     displacements: FloatArray
-    residual: float
+    largest_displacement: float
+    largest_residual: float
 
 
 def make_springs(volume: Volume, settings: SpringSettings, dt: float) -> Springs:
@@ -71,6 +74,61 @@ def make_springs(volume: Volume, settings: SpringSettings, dt: float) -> Springs
     )
 
 
+class RiggedMotion:
+    """The frames of a character that bones move, in one native pass (`cpp/include/followthrough/motion`)."""
+
+    def __init__(self, volume: Volume, solver: Springs, minimum_stretch: float) -> None:
+        rig = volume.surface.rig
+        if rig is None or volume.bone_indices is None or volume.bone_weights is None:
+            raise ValueError("volume: found none of a rigged character, expected one that was made with a rig")
+        self._bone_count = len(rig.bone_segments)
+        rest_matrices = np.zeros((0, 16)) if rig.bone_rest_matrices is None else _matrices(rig.bone_rest_matrices)
+        self._core = _core.RiggedMotion(
+            volume.rest_positions,
+            volume.bone_indices,
+            volume.bone_weights,
+            volume.tet_mesh.tets,
+            volume.tet_mesh.embedding_tets,
+            volume.tet_mesh.embedding_weights,
+            rig.bone_indices,
+            rig.bone_weights,
+            rest_matrices,
+            rig.skinning == "dual-quaternion",
+            minimum_stretch,
+            solver.core,
+        )
+
+    def reset(self, pose: Pose) -> None:
+        """Start over."""
+        self._core.reset(self._pose(pose))
+
+    def step(self, pose: Pose, next_pose: Pose | None) -> Frame:
+        """Take one frame."""
+        return Frame(*self._core.step(self._pose(pose), None if next_pose is None else self._pose(next_pose)))
+
+    def begin(self, pose: Pose, next_pose: Pose | None) -> None:
+        """Start a frame on the core's own thread."""
+        self._core.begin(self._pose(pose), None if next_pose is None else self._pose(next_pose))
+
+    def finish(self) -> Frame:
+        """Wait for it."""
+        return Frame(*self._core.finish())
+
+    def _pose(self, pose: Pose) -> Any:
+        if not isinstance(pose, BonePose):
+            raise ValueError("pose: found sampled positions, but this character has a rig; expected a BonePose")
+        if pose.bone_matrices.shape != (self._bone_count, 4, 4):
+            raise ValueError(
+                f"pose.bone_matrices: found shape {pose.bone_matrices.shape}, expected ({self._bone_count}, 4, 4)"
+            )
+        armature = np.eye(4) if pose.armature is None else pose.armature
+        return _core.RigPose(_matrices(pose.bone_matrices), armature, pose.world)
+
+
+def _matrices(matrices: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(matrices, dtype=np.float64).reshape(-1, 16)
+
+
 class SecondaryMotion:
     """Drives one solver with a character's poses.
 
@@ -89,55 +147,61 @@ class SecondaryMotion:
             raise ValueError(f"dt: found {dt:g}, expected a positive number of seconds")
         self.settings = settings
         self.volume = build_volume(surface, paint, settings.volume)
-        self.solver: Solver = make_springs(self.volume, settings.springs, dt)
+        self.solver = make_springs(self.volume, settings.springs, dt)
+        self._rigged = None if surface.rig is None else RiggedMotion(self.volume, self.solver, settings.minimum_stretch)
         self._ahead: tuple[Pose, FloatArray] | None = None
+        self._begun: Frame | None = None
 
     def reset(self, pose: Pose) -> Frame:
         """Start over in this pose, without secondary motion."""
-        self._ahead = None
-        reference = self.volume.reference(pose)
-        self.solver.reset(reference)
+        if self._rigged is not None:
+            self._rigged.reset(pose)
+        else:
+            self._ahead = None
+            self.solver.reset(self.volume.reference(pose))
         nothing = np.zeros_like(self.volume.surface.rest_positions)
-        return Frame(offsets=nothing, displacements=nothing, residual=0.0)
+        return Frame(offsets=nothing, displacements=nothing, largest_displacement=0.0, largest_residual=0.0)
 
     def step(self, pose: Pose, next_pose: Pose | None = None) -> Frame:
-        """Take one frame to this pose; `next_pose`, where it is known, makes the target's motion smooth at this frame."""
-        reference = self._reference(pose)
-        next_reference = None
-        if next_pose is not None:
-            next_reference = self.volume.reference(next_pose)
-            self._ahead = (next_pose, next_reference)
-        dynamic = self.solver.step(reference, next_reference)
+        """Take one frame to this pose; `next_pose`, where it is known, makes the target's motion smooth at this frame.
+
+        Raises
+        ------
+        ValueError
+            Where the pose is not of this character or not finite, or the motion no longer is.
+        """
+        if self._rigged is not None:
+            return self._rigged.step(pose, next_pose)
+        return self._sampled_step(pose, next_pose)
+
+    def begin(self, pose: Pose, next_pose: Pose | None = None) -> None:
+        """Start `step`, for a rigged character on a thread of its own, while the caller reads the next pose."""
+        if self._rigged is not None:
+            self._rigged.begin(pose, next_pose)
+        else:
+            self._begun = self._sampled_step(pose, next_pose)
+
+    def finish(self) -> Frame:
+        """Wait for what `begin` started: the same frame, to the bit, that `step` returns."""
+        if self._rigged is not None:
+            return self._rigged.finish()
+        if self._begun is None:
+            raise ValueError("pose: found no frame under way, expected begin to be called first")
+        frame, self._begun = self._begun, None
+        return frame
+
+    def _sampled_step(self, pose: Pose, next_pose: Pose | None) -> Frame:
+        if isinstance(pose, BonePose):
+            raise ValueError("pose: found bone matrices, but this character has no rig; expected a SampledPose")
+        known = self._ahead is not None and self._ahead[0] is pose
+        reference = self._ahead[1] if known and self._ahead is not None else self.volume.reference(pose)
+        self._ahead = None if next_pose is None else (next_pose, self.volume.reference(next_pose))
+        dynamic = self.solver.step(reference, None if self._ahead is None else self._ahead[1])
         displacements = self.volume.surface_displacements(dynamic, reference)
-        local = displacements @ np.linalg.inv(pose.world[:3, :3]).T
-        offsets, residuals = self._inverse_skin(pose, local)
-        return Frame(
-            offsets=offsets,
-            displacements=displacements,
-            residual=_longest(residuals @ pose.world[:3, :3].T),
-        )
-
-    def _reference(self, pose: Pose) -> FloatArray:
-        if self._ahead is not None and self._ahead[0] is pose:
-            return self._ahead[1]
-        return self.volume.reference(pose)
-
-    def _inverse_skin(self, pose: Pose, displacements: FloatArray) -> tuple[FloatArray, FloatArray]:
-        surface = self.volume.surface
-        if isinstance(pose, BonePose) and surface.rig is not None:
-            return skinning.inverse_skin(
-                surface.rest_positions,
-                surface.rig.bone_indices,
-                surface.rig.bone_weights,
-                pose.bone_matrices,
-                displacements,
-                surface.rig.skinning,
-                self.settings.minimum_stretch,
-                surface.rig.bone_rest_matrices,
-                pose.armature,
-            )
-        assert not isinstance(pose, BonePose)
-        return skinning.invert_displacements(pose.jacobians, displacements, self.settings.minimum_stretch)
+        to_world = pose.world[:3, :3]
+        local = displacements @ np.linalg.inv(to_world).T
+        offsets, residuals = skinning.invert_displacements(pose.jacobians, local, self.settings.minimum_stretch)
+        return Frame(offsets, displacements, _longest(displacements), _longest(residuals @ to_world.T))
 
 
 def _longest(vectors: FloatArray) -> float:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,6 +59,11 @@ class Springs:
             raise ValueError(f"pinned: found shape {mask.shape}, expected ({len(stiffness)},)")
         self._dt = float(dt)
         self._core = _core.Springs(stiffness, damping, self._dt, mask)
+
+    @property
+    def core(self) -> Any:
+        """The native solver, for the parts of the core that drive one."""
+        return self._core
 
     @property
     def vertex_count(self) -> int:

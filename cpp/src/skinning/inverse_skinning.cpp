@@ -2,14 +2,11 @@
 #include "followthrough/skinning/inverse_skinning.hpp"
 
 #include <cmath>
-#include <limits>
 #include <string>
-
-#include <Eigen/LU>
-#include <Eigen/SVD>
 
 #include "followthrough/errors.hpp"
 #include "skinning/bone_blend.hpp"
+#include "skinning/stretch_solve.hpp"
 
 namespace followthrough {
 namespace {
@@ -23,26 +20,12 @@ void require_minimum_stretch(double minimum_stretch) {
   }
 }
 
-Vector3d clamped_solve(const Matrix3d& jacobian, const Vector3d& displacement, double minimum_stretch) {
-  // The smallest singular value is at least 2 |det| / |J|^2 (the other two's product is at most half their sum of squares), so
-  // this is proof, with some room for rounding, that nothing has to be clamped.
-  const double determinant = jacobian.determinant();
-  if (2.0 * std::abs(determinant) > 1.0001 * minimum_stretch * jacobian.squaredNorm()) {
-    const Vector3d x = jacobian.col(0), y = jacobian.col(1), z = jacobian.col(2);
-    return Vector3d(y.cross(z).dot(displacement), z.cross(x).dot(displacement), x.cross(y).dot(displacement)) / determinant;
-  }
-  const Eigen::JacobiSVD<Matrix3d> svd(jacobian, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  if (svd.info() != Eigen::Success) return Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
-  const Vector3d along = svd.matrixU().transpose() * displacement;
-  return svd.matrixV() * along.cwiseQuotient(svd.singularValues().cwiseMax(minimum_stretch));
-}
-
 /// Writes one vertex; false where the result is not finite.
 bool solve_vertex(const Matrix3d& jacobian, Eigen::Index vertex, ConstPositions displacements, double minimum_stretch,
                   InverseSkinning& result) {
   const Vector3d displacement = displacements.row(vertex);
   if (!displacement.allFinite() || !jacobian.allFinite()) return false;
-  const Vector3d offset = clamped_solve(jacobian, displacement, minimum_stretch);
+  const Vector3d offset = stretch_solve(jacobian, displacement, minimum_stretch);
   result.offsets.row(vertex) = offset;
   result.residuals.row(vertex) = displacement - jacobian * offset;
   return result.residuals.row(vertex).allFinite();

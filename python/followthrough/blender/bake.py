@@ -3,17 +3,15 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from followthrough import _core
 from followthrough.blender import modes, shape_keys
 from followthrough.blender.groups import PaintGroups, read_paint
 from followthrough.blender.rig_reading import PoseReader, make_reader, read_surface
@@ -77,8 +75,6 @@ class ObjectReport:
         Of all vertices and frames, metres in the world.
     largest_residual : float
         Largest part of a displacement that no shape key can show because the rig flattens the skin there, metres.
-    seconds : float
-        Spent on this object's simulation.
     sampled : bool
         True where something other than a plain Armature modifier moves the mesh, and it was sampled by probes.
     """
@@ -89,7 +85,6 @@ class ObjectReport:
     tets: int
     largest_displacement: float
     largest_residual: float
-    seconds: float
     sampled: bool
 
 
@@ -113,7 +108,6 @@ class _Character:
     offsets: NDArray[np.float32]
     largest_displacement: float = 0.0
     largest_residual: float = 0.0
-    seconds: float = 0.0
 
 
 class Bake:
@@ -175,7 +169,7 @@ class Bake:
     def run(self) -> Iterator[Progress]:
         """Simulate, one frame a step. Leaving the loop early cancels.
 
-        While a frame is simulated in a thread of its own, Blender already evaluates the next one in this thread.
+        While the core simulates a frame on a thread of its own, Blender already evaluates the next one in this thread.
 
         Raises
         ------
@@ -186,8 +180,7 @@ class Bake:
         if self._closed or self._complete:
             raise RuntimeError("run: this bake has already been run")
         try:
-            with ThreadPoolExecutor(max_workers=1, initializer=_leave_room_for_blender) as worker:
-                yield from self._steps(worker)
+            yield from self._steps()
         finally:
             if not self._complete:
                 self.cancel()
@@ -259,44 +252,46 @@ class Bake:
             self._after = self.start + int(closed)
         return schedule + [(frame, True) for frame in range(self.start, self.end + 1)]
 
-    def _steps(self, worker: ThreadPoolExecutor) -> Iterator[Progress]:
+    def _steps(self) -> Iterator[Progress]:
         following = [frame for frame, _ in self._schedule[1:]] + [self._after]
         poses: list[Pose] = self._read(self._schedule[0][0])
-        running: Future[None] | None = None
+        for character, pose in zip(self._characters, poses, strict=True):
+            with _told_apart(character.name, self._schedule[0][0]):
+                character.motion.reset(pose)
+        under_way = False
         for done, ((frame, keyed), next_frame) in enumerate(zip(self._schedule, following, strict=True)):
             next_poses = None if next_frame is None else self._read(next_frame)
-            if running is not None:
-                running.result()
-            running = worker.submit(self._simulate, frame, keyed, done == 0, poses, next_poses)
+            if under_way:
+                self._collect(*self._schedule[done - 1])
+            if done:
+                self._begin(frame, poses, next_poses)
+                under_way = True
             if next_poses is not None:
                 poses = next_poses
             if done + 1 == self.total:
-                running.result()
+                if under_way:
+                    self._collect(frame, keyed)
                 self._complete = True
             yield Progress(done=done + 1, total=self.total, frame=frame)
 
-    def _simulate(self, frame: int, keyed: bool, first: bool, poses: list[Pose], following: list[Pose] | None) -> None:
-        """Take all objects to a frame. Runs in a worker thread: nothing of Blender's here."""
+    def _begin(self, frame: int, poses: list[Pose], following: list[Pose] | None) -> None:
+        """Start a frame of all objects; the core works on it while Blender evaluates the next one here."""
         for index, character in enumerate(self._characters):
-            began = time.perf_counter()
-            try:
-                if first:
-                    result = character.motion.reset(poses[index])
-                else:
-                    result = character.motion.step(poses[index], None if following is None else following[index])
-            except ValueError as problem:
-                raise ValueError(f"Object '{character.name}', frame {frame}: {problem}") from problem
-            with np.errstate(over="ignore"):  # told below
-                offsets = result.offsets.astype(np.float32)
-            if not np.isfinite([offsets.sum(dtype=np.float64), result.displacements.sum()]).all():
-                raise ValueError(f"Object '{character.name}', frame {frame}: the motion is no longer finite")
+            with _told_apart(character.name, frame):
+                character.motion.begin(poses[index], None if following is None else following[index])
+
+    def _collect(self, frame: int, keyed: bool) -> None:
+        for character in self._characters:
+            with _told_apart(character.name, frame):
+                result = character.motion.finish()
+                with np.errstate(over="ignore"):  # told below
+                    offsets = result.offsets.astype(np.float32)
+                if not np.isfinite(offsets).all():
+                    raise ValueError("the motion is no longer finite")
             if keyed:
                 character.offsets[frame - self.start] = offsets
-                squares = np.einsum("ij,ij->i", result.displacements, result.displacements)
-                largest = float(np.sqrt(squares.max(initial=0.0)))
-                character.largest_displacement = max(character.largest_displacement, largest)
-                character.largest_residual = max(character.largest_residual, result.residual)
-            character.seconds += time.perf_counter() - began
+                character.largest_displacement = max(character.largest_displacement, result.largest_displacement)
+                character.largest_residual = max(character.largest_residual, result.largest_residual)
 
     def _read(self, frame: int) -> list[Pose]:
         scene = bpy.data.scenes.get(self._scene)
@@ -363,17 +358,17 @@ class Bake:
             tets=len(volume.tet_mesh.tets),
             largest_displacement=character.largest_displacement,
             largest_residual=character.largest_residual,
-            seconds=character.seconds,
             sampled=volume.surface.rig is None,
         )
 
 
-def _leave_room_for_blender() -> None:
-    """Work with half the processor's cores in this thread: Blender evaluates the next frame on the others.
-
-    Threads that wait for a core that someone else has cost more than they bring.
-    """
-    _core.set_threads(max(1, (os.cpu_count() or 2) // 2))
+@contextmanager
+def _told_apart(name: str, frame: int) -> Iterator[None]:
+    """Name object and frame in what goes wrong."""
+    try:
+        yield
+    except ValueError as problem:
+        raise ValueError(f"Object '{name}', frame {frame}: {problem}") from problem
 
 
 def _require_visible(name: str, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from followthrough.blender.modes import object_mode
 from followthrough.blender.rig_reading import read_surface, with_skeleton
+from followthrough.blender.vertex_weights import read_weights
 from followthrough.character import FloatArray, Paint, Surface, suggest_paint
 
 STIFFNESS_GROUP = "Followthrough Stiffness"
@@ -100,8 +101,11 @@ def read_paint(obj: bpy.types.Object, surface: Surface, groups: PaintGroups | No
     if pins is None and _if_there(obj, PINS_GROUP):
         pins = (PinGroup(PINS_GROUP),)
     names = [*filter(None, (stiffness, mass)), *(group.name for group in pins or ())]
-    weights = _read_groups(obj, names, len(surface.rest_positions))
-    paint = suggested_paint(obj, surface)
+    weights = _read_groups(obj, names)
+    if stiffness is not None and mass is not None and pins is not None:
+        paint = Paint(*(np.zeros(len(surface.rest_positions)) for _ in range(3)))  # all of it painted
+    else:
+        paint = suggested_paint(obj, surface)
     if stiffness is not None:
         paint = replace(paint, stiffness=weights[stiffness])
     if mass is not None:
@@ -134,18 +138,16 @@ def _if_there(obj: bpy.types.Object, name: str) -> str | None:
     return name if name in obj.vertex_groups else None
 
 
-def _read_groups(obj: bpy.types.Object, names: Iterable[str], count: int) -> dict[str, FloatArray]:
+def _read_groups(obj: bpy.types.Object, names: Iterable[str]) -> dict[str, FloatArray]:
     """Weights (v,) of the named groups, 0 where a vertex is not in one."""
-    found = {}
+    indices = {}
     for name in dict.fromkeys(names):
         group = obj.vertex_groups.get(name)
         if group is None:
             there = ", ".join(repr(other.name) for other in obj.vertex_groups) or "none"
             raise ValueError(f"Object '{obj.name}' has no vertex group {name!r} (it has {there})")
-        found[group.index] = np.zeros(count)
-    if found:
-        for vertex in obj.data.vertices:
-            for element in vertex.groups:
-                if element.group in found:
-                    found[element.group][vertex.index] = element.weight
-    return {obj.vertex_groups[index].name: values for index, values in found.items()}
+        indices[name] = group.index
+    if not indices:
+        return {}
+    weights = read_weights(obj)
+    return {name: weights.of_group(index) for name, index in indices.items()}

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import bpy
@@ -13,6 +14,7 @@ from followthrough.blender import probes
 from followthrough.blender.modes import object_mode
 from followthrough.blender.scene import Deformation, NotBakeableError, require_bakeable, skeleton_of
 from followthrough.blender.shape_keys import read_points
+from followthrough.blender.vertex_weights import read_weights
 from followthrough.character import BonePose, FloatArray, IntArray, Pose, Rig, Surface
 
 
@@ -50,11 +52,14 @@ def read_surface(obj: bpy.types.Object) -> Surface:
 def with_skeleton(obj: bpy.types.Object, surface: Surface) -> Surface:
     """The same surface with the rig of the first armature that moves it, if there is one."""
     armature = skeleton_of(obj)
-    if armature is None:
+    if armature is None or surface.rig is not None:
         return surface
     modifier = _armature_modifier(obj)
-    bones = weighted_bones(obj, armature)
-    indices, weights = _bone_weights(obj, bones)
+    painted = read_weights(obj)
+    used = set(np.unique(painted.groups).tolist())
+    group_of_bone = {group.name: group.index for group in obj.vertex_groups if group.index in used}
+    bones = [bone.name for bone in armature.data.bones if bone.use_deform and bone.name in group_of_bone]
+    indices, weights = painted.table({group_of_bone[name]: index for index, name in enumerate(bones)})
     if not weights.any():
         raise NotBakeableError(
             f"Object '{obj.name}' has no weights for the deforming bones of '{armature.name}': parent it with weights"
@@ -68,6 +73,7 @@ def with_skeleton(obj: bpy.types.Object, surface: Surface) -> Surface:
         bone_segments=ends @ to_mesh[:3, :3].T + to_mesh[:3, 3],
         skinning="dual-quaternion" if modifier is not None and modifier.use_deform_preserve_volume else "linear",
         bone_rest_matrices=np.array([armature.data.bones[name].matrix_local for name in bones], dtype=np.float64),
+        bone_names=tuple(bones),
         skeleton=joints @ to_mesh[:3, :3].T + to_mesh[:3, 3],
     )
     return dataclasses.replace(surface, rig=rig)
@@ -85,13 +91,6 @@ def _joint_lines(armature: bpy.types.Object, names: list[str]) -> list[list[Any]
     return lines
 
 
-def weighted_bones(obj: bpy.types.Object, armature: bpy.types.Object) -> list[str]:
-    """Deforming bones that some vertex hangs on, in the armature's order."""
-    used = {element.group for vertex in obj.data.vertices for element in vertex.groups if element.weight > 0.0}
-    groups = {group.name for group in obj.vertex_groups if group.index in used}
-    return [bone.name for bone in armature.data.bones if bone.use_deform and bone.name in groups]
-
-
 def rest_positions(obj: bpy.types.Object) -> FloatArray:
     """Coordinates of the Basis, (v, 3) in object space."""
     mesh = obj.data
@@ -107,17 +106,17 @@ def make_reader(obj: bpy.types.Object, deformation: Deformation, surface: Surfac
     if surface.rig is None:
         return probes.ProbeReader(obj.name, len(surface.rest_positions), _size(surface))
     assert deformation.skeleton is not None
-    return BoneReader(obj, bpy.data.objects[deformation.skeleton])
+    return BoneReader(obj, bpy.data.objects[deformation.skeleton], surface.rig.bone_names)
 
 
 class BoneReader:
     """Reads the matrices of those bones that a mesh hangs on."""
 
-    def __init__(self, obj: bpy.types.Object, armature: bpy.types.Object) -> None:
+    def __init__(self, obj: bpy.types.Object, armature: bpy.types.Object, bones: Sequence[str]) -> None:
         self._object = obj.name
         self._armature = armature.name
         order = {bone.name: index for index, bone in enumerate(armature.pose.bones)}
-        self._bones = np.array([order[name] for name in weighted_bones(obj, armature)], dtype=np.intp)
+        self._bones = np.array([order[name] for name in bones], dtype=np.intp)
         self._count = len(order)
 
     def read(self, view_layer: bpy.types.ViewLayer) -> BonePose:
@@ -168,21 +167,3 @@ def _triangles(mesh: bpy.types.Mesh) -> IntArray:
     triangles = np.empty(len(mesh.loop_triangles) * 3, dtype=np.int32)
     mesh.loop_triangles.foreach_get("vertices", triangles)
     return triangles.reshape(-1, 3)
-
-
-def _bone_weights(obj: bpy.types.Object, bones: list[str]) -> tuple[IntArray, FloatArray]:
-    """Table of bones and weights (v, k), in the order in which each vertex stores them."""
-    order = {name: index for index, name in enumerate(bones)}
-    bone_of_group = {group.index: order[group.name] for group in obj.vertex_groups if group.name in order}
-    rows = [
-        [(bone_of_group[e.group], e.weight) for e in vertex.groups if e.weight > 0.0 and e.group in bone_of_group]
-        for vertex in obj.data.vertices
-    ]
-    width = max((len(row) for row in rows), default=0) or 1
-    indices = np.zeros((len(rows), width), dtype=np.int32)
-    weights = np.zeros((len(rows), width))
-    for vertex, row in enumerate(rows):
-        for place, (bone, weight) in enumerate(row):
-            indices[vertex, place] = bone
-            weights[vertex, place] = weight
-    return indices, weights

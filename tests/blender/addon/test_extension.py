@@ -95,11 +95,23 @@ def test_the_packed_manifest_names_what_is_packed(extension: Path) -> None:
     assert not [name for name in names if "__pycache__" in name]
 
 
+def packages_without(hidden: tuple[str, ...], folder: Path) -> Path:
+    """A folder with links to all that this Python has installed, but for packages whose names begin like these."""
+    folder.mkdir()
+    for entry in Path(sysconfig.get_path("platlib")).iterdir():
+        if not entry.name.startswith(hidden):
+            (folder / entry.name).symlink_to(entry)
+    return folder
+
+
 def test_it_installs_and_bakes(extension: Path, tmp_path: Path) -> None:
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    environment["BLENDER_USER_RESOURCES"] = str(tmp_path)
+    environment = dict(os.environ)
+    environment["PYTHONPATH"] = str(
+        packages_without(("followthrough", "_followthrough", "tqdm"), tmp_path / "packages")
+    )
+    environment["BLENDER_USER_RESOURCES"] = str(tmp_path / "blender")
     result = subprocess.run(
-        [sys.executable, "-c", INSTALL_AND_BAKE, str(extension), str(Path(__file__).parent)],
+        [sys.executable, "-S", "-c", INSTALL_AND_BAKE, str(extension), str(Path(__file__).parent)],
         env=environment,
         capture_output=True,
         text=True,

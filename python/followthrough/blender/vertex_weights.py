@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A mesh's vertex groups as arrays. Blender has them vertex by vertex only, so they are read in one pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from followthrough.character import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class VertexWeights:
+    """Every weight above 0, in the order in which the vertices store them; (e,) each."""
+
+    vertices: NDArray[np.intp]
+    groups: NDArray[np.intp]
+    weights: FloatArray
+    vertex_count: int
+
+    def of_group(self, group: int) -> FloatArray:
+        """Weights (v,) in one group, 0 where a vertex is not in it."""
+        found = np.zeros(self.vertex_count)
+        chosen = self.groups == group
+        found[self.vertices[chosen]] = self.weights[chosen]
+        return found
+
+    def table(self, bone_of_group: dict[int, int]) -> tuple[IntArray, FloatArray]:
+        """Table (v, k) of bones and of weights, of those groups that stand for a bone; unused places have weight 0."""
+        bones = np.full(max((*bone_of_group, *self.groups, 0)) + 1, -1)
+        bones[list(bone_of_group)] = list(bone_of_group.values())
+        chosen = bones[self.groups] >= 0
+        vertices = self.vertices[chosen]
+        first = np.searchsorted(vertices, vertices)  # a vertex's elements follow each other
+        place = np.arange(len(vertices)) - first
+        width = int(place.max(initial=0)) + 1
+        indices = np.zeros((self.vertex_count, width), dtype=np.int32)
+        weights = np.zeros((self.vertex_count, width))
+        indices[vertices, place] = bones[self.groups[chosen]]
+        weights[vertices, place] = self.weights[chosen]
+        return indices, weights
+
+
+def read_weights(obj: bpy.types.Object) -> VertexWeights:
+    """Read all vertex groups of a mesh object that is not in Edit Mode."""
+    rows: list[Any] = [vertex.groups for vertex in obj.data.vertices]
+    counts = np.fromiter(map(len, rows), dtype=np.intp, count=len(rows))
+    elements = np.array([(element.group, element.weight) for row in rows for element in row]).reshape(-1, 2)
+    used = elements[:, 1] > 0.0
+    return VertexWeights(
+        vertices=np.repeat(np.arange(len(rows)), counts)[used],
+        groups=elements[used, 0].astype(np.intp),
+        weights=np.ascontiguousarray(elements[used, 1]),
+        vertex_count=len(rows),
+    )

@@ -1,0 +1,178 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include <doctest/doctest.h>
+#include <omp.h>
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include <Eigen/LU>
+
+#include "followthrough/errors.hpp"
+#include "followthrough/mesh/tetrahedralize.hpp"
+#include "followthrough/motion/rigged_motion.hpp"
+#include "followthrough/skinning/inverse_skinning.hpp"
+#include "followthrough/springs/springs.hpp"
+
+using namespace followthrough;
+
+namespace {
+
+constexpr double dt = 1.0 / 24.0;
+
+/// A box of 1 x 1 x 3 on two bones, the lower half on the first; the second swings.
+struct Box {
+  Positions vertices{8, 3};
+  TetVolume volume;
+  RiggedCharacter character;
+
+  Box() {
+    vertices << 0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 1, 0, 0, 0, 3, 1, 0, 3, 1, 1, 3, 0, 1, 3;
+    Triangles triangles(12, 3);
+    triangles << 0, 2, 1, 0, 3, 2, 4, 5, 6, 4, 6, 7, 0, 1, 5, 0, 5, 4, 1, 2, 6, 1, 6, 5, 2, 3, 7, 2, 7, 6, 3, 0, 4, 3, 4, 7;
+    VoxelSettings settings;
+    settings.cells = 9;
+    volume = tetrahedralize(vertices, triangles, settings);
+    character.volume_rest_positions = volume.vertices;
+    character.tets = volume.tets;
+    character.embedding = {volume.embedding_tets, volume.embedding_weights};
+    std::tie(character.volume_bones, character.volume_weights) = weights_of(volume.vertices);
+    std::tie(character.surface_bones, character.surface_weights) = weights_of(vertices);
+  }
+
+  static std::pair<IndexTable, Values> weights_of(const Positions& points) {
+    IndexTable bones(points.rows(), 2);
+    Values weights(points.rows(), 2);
+    for (Eigen::Index v = 0; v < points.rows(); ++v) {
+      const double upper = std::min(std::max(points(v, 2) - 1.0, 0.0), 1.0);
+      bones.row(v) << 0, 1;
+      weights.row(v) << 1.0 - upper, upper;
+    }
+    return {bones, weights};
+  }
+
+  Springs springs() const {
+    const Eigen::Index count = volume.vertices.rows();
+    Mask pinned = Mask::Constant(count, false);
+    for (Eigen::Index v = 0; v < count; ++v) pinned[v] = volume.vertices(v, 2) < 0.5;
+    return {Vector::Constant(count, 200.0), Vector::Constant(count, 5.0), dt, pinned};
+  }
+};
+
+RigPose pose_at(int frame) {
+  RigPose pose{Matrices4(2, 16), Eigen::Matrix4d::Identity(), Eigen::Matrix4d::Identity()};
+  const double angle = 0.6 * std::sin(0.7 * frame);
+  Eigen::Matrix<double, 4, 4, Eigen::RowMajor> bone = Eigen::Matrix4d::Identity();
+  Eigen::Map<Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(pose.bone_matrices.row(0).data()) = bone;
+  bone(1, 1) = bone(2, 2) = std::cos(angle);
+  bone(2, 1) = std::sin(angle);
+  bone(1, 2) = -std::sin(angle);
+  bone(0, 3) = 0.3 * frame * frame / 100.0;
+  Eigen::Map<Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(pose.bone_matrices.row(1).data()) = bone;
+  pose.world(0, 0) = 2.0;  // an object scaled unevenly, on its way
+  pose.world(1, 1) = 0.5;
+  pose.world(2, 3) = 0.1 * frame;
+  return pose;
+}
+
+}  // namespace
+
+TEST_CASE("a frame is reference, solver, embedding and inverse skinning, one after the other") {
+  const Box box;
+  Springs solver = box.springs();
+  Springs plain = box.springs();
+  RiggedMotion motion(box.character, solver);
+  motion.reset(pose_at(0));
+  plain.reset(motion.reference(pose_at(0)));
+  for (int frame = 1; frame < 12; ++frame) {
+    const RigPose pose = pose_at(frame);
+    const RigPose next = pose_at(frame + 1);
+    const bool last = frame == 11;
+    const MotionFrame found = motion.step(pose, last ? nullptr : &next);
+
+    const PosedBones bones{pose.bone_matrices, box.character.bone_rest_matrices, pose.armature};
+    Positions reference =
+        pose_vertices(box.volume.vertices, {box.character.volume_bones, box.character.volume_weights}, bones, Skinning::linear);
+    reference =
+        (reference * pose.world.topLeftCorner<3, 3>().transpose()).rowwise() + pose.world.topRightCorner<3, 1>().transpose();
+    const Positions after = motion.reference(next);
+    const Values moved = plain.step(reference, last ? nullptr : &after) - reference;
+    const Positions displacements = interpolate(moved, box.volume.tets, box.volume.embedding_tets, box.volume.embedding_weights);
+    const Positions local = displacements * pose.world.topLeftCorner<3, 3>().inverse().transpose();
+    const InverseSkinning expected =
+        inverse_skin({box.character.surface_bones, box.character.surface_weights}, bones, local, Skinning::linear, 0.05);
+    CHECK((found.displacements - displacements).cwiseAbs().maxCoeff() < 1e-12);
+    CHECK((found.offsets - expected.offsets).cwiseAbs().maxCoeff() < 1e-12);
+    CHECK(found.largest_displacement == doctest::Approx(displacements.rowwise().norm().maxCoeff()));
+    CHECK(found.largest_displacement > 1e-3);
+    CHECK(found.largest_residual < 1e-12);
+    CHECK(found.offsets.topRows(4).isZero(0.0));  // pinned
+  }
+}
+
+TEST_CASE("a frame on a thread of its own is the same frame, to the bit, whatever the number of threads") {
+  const Box box;
+  std::vector<Positions> results[2];
+  const int threads = omp_get_max_threads();
+  for (const bool beside : {false, true}) {
+    omp_set_num_threads(beside ? 1 : 4);
+    Springs solver = box.springs();
+    RiggedMotion motion(box.character, solver);
+    motion.reset(pose_at(0));
+    for (int frame = 1; frame < 12; ++frame) {
+      const RigPose next = pose_at(frame + 1);
+      if (beside) {
+        motion.begin(pose_at(frame), std::make_unique<RigPose>(next));
+        results[1].push_back(motion.finish().offsets);
+      } else {
+        results[0].push_back(motion.step(pose_at(frame), &next).offsets);
+      }
+    }
+  }
+  omp_set_num_threads(threads);
+  REQUIRE(results[0].size() == results[1].size());
+  for (std::size_t i = 0; i < results[0].size(); ++i) CHECK(results[0][i] == results[1][i]);
+}
+
+TEST_CASE("bad poses and calls out of order are refused, also from the other thread, and the motion goes on") {
+  const Box box;
+  Springs solver = box.springs();
+  RiggedMotion motion(box.character, solver);
+  CHECK_THROWS_AS(motion.finish(), InvalidInput);
+  motion.reset(pose_at(0));
+  RigPose bad = pose_at(1);
+  bad.bone_matrices(1, 3) = std::nan("");
+  CHECK_THROWS_AS(motion.step(bad), InvalidInput);
+  motion.begin(bad, nullptr);
+  CHECK_THROWS_AS(motion.begin(pose_at(1), nullptr), InvalidInput);
+  CHECK_THROWS_AS(motion.finish(), InvalidInput);
+  RigPose flat = pose_at(1);
+  flat.world.setZero();
+  CHECK_THROWS_AS(motion.step(flat), InvalidInput);
+  CHECK(motion.step(pose_at(1)).offsets.allFinite());
+  motion.begin(pose_at(2), nullptr);  // and destroyed with a frame under way
+}
+
+TEST_CASE("a rig that flattens the skin leaves a bounded offset and says what is missing") {
+  Box box;
+  box.character.minimum_stretch = 0.05;
+  Springs solver = box.springs();
+  RiggedMotion motion(box.character, solver);
+  motion.reset(pose_at(0));
+  motion.step(pose_at(1));
+  RigPose pose = pose_at(3);
+  for (const Eigen::Index entry : {0, 1, 2, 3}) pose.bone_matrices(1, entry) = 0.0;  // the upper bone's x is squashed to nothing
+  const MotionFrame frame = motion.step(pose);
+  CHECK(frame.largest_residual > 1e-3);
+  CHECK(frame.offsets.cwiseAbs().maxCoeff() <= frame.largest_displacement / 0.05 / 0.5 + 1e-12);
+}
+
+TEST_CASE("arrays that do not fit each other are refused by name") {
+  Box box;
+  Springs solver = box.springs();
+  box.character.surface_weights.conservativeResize(5, 2);
+  CHECK_THROWS_WITH_AS(RiggedMotion(box.character, solver), doctest::Contains("surface_weights"), InvalidInput);
+}
