@@ -100,8 +100,8 @@ inline Strain strain(const BatchConstants& k, ElementBatch& b, int lane, double 
 }
 
 // A row of a stiffness block: rows of the terms named at the top.
-inline Vector block_row(const Number& near, const Vector& left, const Number& by_a, const Vector& moved_a, const Number& by_c, const Vector& moved_c,
-                        const Number& by_normal, const Vector& normal_c) noexcept {
+inline Vector block_row(const Number& near, const Vector& left, const Number& by_a, const Vector& moved_a, const Number& by_c,
+                        const Vector& moved_c, const Number& by_normal, const Vector& normal_c) noexcept {
   return sum(sum(times(left, near), times(moved_a, by_c)), sum(times(moved_c, by_a), times(normal_c, by_normal)));
 }
 

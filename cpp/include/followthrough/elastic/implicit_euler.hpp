@@ -21,7 +21,7 @@ struct NewtonSettings {
   int most_linear_iterations = 2000;
 
   static NewtonSettings converged() { return {}; }
-  static NewtonSettings fine() { return {1e-3, 12, 300}; }
+  static NewtonSettings fine() { return {1e-2, 12, 500}; }
   static NewtonSettings preview() { return {1e-2, 3, 30}; }
 };
 
