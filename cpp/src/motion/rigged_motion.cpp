@@ -47,12 +47,12 @@ class RiggedMotion::Worker {
   Worker(const Worker&) = delete;
   Worker& operator=(const Worker&) = delete;
 
-  void begin(RiggedMotion& motion, RigPose pose, std::unique_ptr<RigPose> next) {
+  void begin(RiggedMotion& motion, const RigPose& pose, std::unique_ptr<RigPose> next) {
     {
       const std::lock_guard lock(mutex_);
       if (motion_) throw InvalidInput("pose", "found a frame under way, expected finish to be called first");
       motion_ = &motion;
-      pose_ = std::move(pose);
+      pose_ = pose;
       next_ = std::move(next);
       result_.reset();
       error_ = nullptr;
@@ -185,9 +185,9 @@ MotionFrame RiggedMotion::step(const RigPose& pose, const RigPose* next) {
   return frame;
 }
 
-void RiggedMotion::begin(RigPose pose, std::unique_ptr<RigPose> next) {
+void RiggedMotion::begin(const RigPose& pose, std::unique_ptr<RigPose> next) {
   if (!worker_) worker_ = std::make_unique<Worker>();
-  worker_->begin(*this, std::move(pose), std::move(next));
+  worker_->begin(*this, pose, std::move(next));
 }
 
 MotionFrame RiggedMotion::finish() {

@@ -4,6 +4,7 @@
 #include <Eigen/Geometry>
 
 #include <algorithm>
+#include <cmath>
 #include <set>
 
 #include "followthrough/mesh/embedding.hpp"
@@ -62,6 +63,51 @@ TEST_CASE("legs with a narrow gap, touching or overlapping a little, are not glu
       if (gap < 0.01) CHECK(shared_by_legs(shape, plain, -0.8) > 10);
       const Positions carried = interpolate(split.vertices, split.tets, split.embedding_tets, split.embedding_weights);
       CHECK((carried - shape.vertices).cwiseAbs().maxCoeff() < 1e-12);
+    }
+  }
+}
+
+TEST_CASE("fingers are not glued") {
+  for (const double gap : {0.1, 0.02}) {
+    for (const Index cells : {15, 20, 25}) {
+      CAPTURE(gap);
+      CAPTURE(cells);
+      const shapes::Shape shape = shapes::hand(gap);
+      shapes::Shape turned = shape;  // as hands are held: not along the grid
+      turned.vertices =
+          Positions(shape.vertices * Eigen::AngleAxisd(0.05, Eigen::Vector3d(1, 2, 3).normalized()).toRotationMatrix());
+      const TetVolume split = voxel(turned, cells), plain = voxel(turned, cells, false);
+      const auto finger = [&](const TetVolume& volume, int number) {
+        return carriers(volume, shape.vertices.rows(), [&](Eigen::Index v) {
+          const double x = shape.vertices(v, 0) - number * (0.8 + gap);
+          return shape.vertices(v, 2) > 2.5 && x > -1e-9 && x < 0.8 + 1e-9;
+        });
+      };
+      CHECK(parts(split) == 1);
+      for (int number = 0; number < 3; ++number) {
+        CHECK(shared(finger(split, number), finger(split, number + 1)) == 0);
+        CHECK(shared(finger(plain, number), finger(plain, number + 1)) > 0);
+      }
+    }
+  }
+}
+
+TEST_CASE("lips are not glued, and the corners of the mouth hold") {
+  for (const double slit : {0.1, 0.02}) {
+    for (const Index cells : {10, 16, 25}) {
+      CAPTURE(slit);
+      CAPTURE(cells);
+      const shapes::Shape shape = shapes::head(slit);
+      const TetVolume split = voxel(shape, cells), plain = voxel(shape, cells, false);
+      const auto lip = [&](const TetVolume& volume, double height) {
+        return carriers(volume, shape.vertices.rows(), [&](Eigen::Index v) {
+          const Eigen::RowVector3d at = shape.vertices.row(v);
+          return std::abs(at[2] - height) < 1e-9 && at[1] < 1.3 && at[0] > 1.2 && at[0] < 2.8;
+        });
+      };
+      CHECK(parts(split) == 1);
+      CHECK(shared(lip(split, 2), lip(split, 2 + slit)) == 0);
+      CHECK(shared(lip(plain, 2), lip(plain, 2 + slit)) > 0);
     }
   }
 }

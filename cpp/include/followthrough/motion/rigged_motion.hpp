@@ -63,7 +63,7 @@ class RiggedMotion {
 
   /// @brief Starts the same step on a thread of its own, one at a time; `finish` waits for it.
   /// @throws InvalidInput where one is under way already
-  void begin(RigPose pose, std::unique_ptr<RigPose> next);
+  void begin(const RigPose& pose, std::unique_ptr<RigPose> next);
 
   /// @return what `step` returns, bit for bit
   /// @throws what `step` throws, and InvalidInput where none was begun
