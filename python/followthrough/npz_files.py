@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import struct
 import tempfile
@@ -121,5 +122,8 @@ def write_npz(path: Path | str, arrays: Mapping[str, NDArray[Any]]) -> None:
     ValueError
         Where the folder is missing.
     """
-    with written_whole(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **{name: np.asarray(array) for name, array in arrays.items()})
+    with written_whole(path) as temporary:
+        # Not straight to the file: interrupted, NumPy's archive would still want to finish it after it is closed, and complain.
+        archive = io.BytesIO()
+        np.savez_compressed(archive, **{name: np.asarray(array) for name, array in arrays.items()})
+        temporary.write_bytes(archive.getbuffer())
