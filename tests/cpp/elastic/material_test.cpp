@@ -43,7 +43,7 @@ Matrix9d as_matrix(const StressDerivative& derivative) {
 }
 
 template <typename Function>
-auto central_difference(const Function& function, const Matrix3d& at, const Matrix3d& change) {
+auto central_difference(const Function& function, const Matrix3d& at, const Matrix3d& change) -> decltype(function(at)) {
   const double h = 1e-6;
   return ((function(at + h * change) - function(at - h * change)) / (2 * h));
 }
