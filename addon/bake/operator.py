@@ -147,7 +147,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
             if baked.largest_residual > _NOTABLE_RESIDUAL * baked.largest_displacement:
                 self.report(
                     {"WARNING"},
-                    f"{baked.name}: the rig flattens the skin somewhere, where up to "
+                    f"{baked.name}: the rig flattens or smooths the skin somewhere, where up to "
                     f"{1000 * baked.largest_residual:.2g} mm of the motion cannot be shown",
                 )
 
