@@ -36,9 +36,9 @@ def ellipsoid(centre: ArrayLike, half_axes: ArrayLike, rings: int = 24, sides: i
     rings, sides
         Faces from pole to pole, and around.
     """
-    axes: FloatArray = np.array(half_axes, dtype=np.float64)
+    axes = np.array(half_axes, dtype=np.float64)
     if axes.ndim == 1:
-        axes = np.diag(axes).astype(np.float64)
+        axes = np.array(np.diag(axes), dtype=np.float64)
     polar = np.linspace(0.0, np.pi, rings + 1)[1:-1]
     points = _rings(
         np.sin(polar)[:, None] * _circle(sides)[0], np.sin(polar)[:, None] * _circle(sides)[1], np.cos(polar)
@@ -49,11 +49,8 @@ def ellipsoid(centre: ArrayLike, half_axes: ArrayLike, rings: int = 24, sides: i
 
 def combine(coefficients: FloatArray, vectors: FloatArray) -> FloatArray:
     """Sums of vectors (3, 3), rows, with coefficients (n, 3). The order of summing is fixed, unlike a matrix library's."""
-    total: FloatArray = (
-        coefficients[..., 0:1] * vectors[..., 0, :]
-        + coefficients[..., 1:2] * vectors[..., 1, :]
-        + coefficients[..., 2:3] * vectors[..., 2, :]
-    )
+    first, second, third = (coefficients[..., k : k + 1] * vectors[..., k, :] for k in range(3))
+    total: FloatArray = np.add(np.add(first, second), third)
     return total
 
 
