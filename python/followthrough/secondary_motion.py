@@ -4,31 +4,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from followthrough import _core
 from followthrough.character import BonePose, FloatArray, Paint, Pose, Surface
 from followthrough.settings import Settings, SpringSettings
+from followthrough.solver import Solver
 from followthrough.springs import Springs
 from followthrough.volume import Volume, build_volume
-
-
-class Solver(Protocol):
-    """A dynamics method (`cpp/include/followthrough/solver.hpp`)."""
-
-    def reset(self, reference: FloatArray) -> None:
-        """Start over on the reference (n, 3), m."""
-
-    def step(self, reference: FloatArray, next_reference: FloatArray | None = None) -> FloatArray:
-        """Take one frame to the reference (n, 3), m, and return the dynamic positions (n, 3), m."""
-
-    def state(self) -> Any:
-        """Everything carried from frame to frame."""
-
-    def restore(self, state: Any) -> None:
-        """Go back to a state that `state` returned."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +64,7 @@ def make_springs(volume: Volume, settings: SpringSettings, dt: float) -> Springs
 class RiggedMotion:
     """The frames of a character that bones move, in one native pass (`cpp/include/followthrough/motion`)."""
 
-    def __init__(self, volume: Volume, solver: Springs, minimum_stretch: float) -> None:
+    def __init__(self, volume: Volume, solver: Solver, minimum_stretch: float) -> None:
         rig = volume.surface.rig
         if rig is None or volume.bone_indices is None or volume.bone_weights is None:
             raise ValueError("volume: found none of a rigged character, expected one that was made with a rig")
@@ -149,7 +134,7 @@ class SecondaryMotion:
             raise ValueError(f"dt: found {dt:g}, expected a positive number of seconds")
         self.settings = settings
         self.volume = build_volume(surface, paint, settings.volume)
-        self.solver = make_springs(self.volume, settings.springs, dt)
+        self.solver: Solver = make_springs(self.volume, settings.springs, dt)
         self._rigged = None if surface.rig is None else RiggedMotion(self.volume, self.solver, settings.minimum_stretch)
         self._ahead: tuple[Pose, FloatArray] | None = None
         self._begun: Frame | None = None

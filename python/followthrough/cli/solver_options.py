@@ -15,6 +15,7 @@ from followthrough.springs import Springs
 
 if TYPE_CHECKING:
     from followthrough.sequences import Sequence
+    from followthrough.solver import Solver
 
 #: Solver -> the options that it has.
 OPTIONS = {
@@ -93,7 +94,7 @@ def check(args: argparse.Namespace) -> None:
         )
 
 
-def make_solver(sequence: Sequence, args: argparse.Namespace) -> Springs | ImplicitEuler | CentralDifferences:
+def make_solver(sequence: Sequence, args: argparse.Namespace) -> Solver:
     """The solver that the arguments ask for, made for a sequence. What is odd about it goes to standard error.
 
     Raises
