@@ -142,7 +142,6 @@ class RiggedMotion:
 
 
 def _has_converged(solver: Solver) -> bool:
-    """Whether the last step did; "preview" promises bounded work, not convergence."""
     return not isinstance(solver, ImplicitEuler) or solver.last_step.converged
 
 

@@ -276,7 +276,7 @@ class Bake:
                     offsets = result.offsets.astype(np.float32)
                 if not np.isfinite(offsets).all():
                     raise ValueError("the motion is no longer finite")
-            if not result.converged:
+            if not result.converged and character.motion.settings.simulation.quality != "preview":
                 character.unconverged.add(frame)
             if keyed:
                 character.offsets[frame - self.start] = offsets

@@ -26,7 +26,8 @@ class ObjectReport:
     loose_vertices : int
         Vertices of the mesh in parts that no pin holds, where the solver needs one; they follow the armature.
     unconverged : tuple of int
-        Frames, also such that were not keyed, in which the solver was not as exact as its quality promises.
+        Frames, also such that were not keyed, in which the solver was not as exact as its quality promises;
+        "preview" promises nothing.
     """
 
     name: str
