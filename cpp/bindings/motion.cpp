@@ -22,8 +22,6 @@ py::tuple as_tuple(MotionFrame frame) {
 }  // namespace
 
 void bind_motion(py::module_& m) {
-  py::class_<Solver>(m, "Solver", "A dynamics method; see cpp/include/followthrough/solver.hpp.");
-
   py::class_<RigPose>(m, "RigPose", "One frame of a rig.")
       .def(py::init([](ConstMatrices4 bone_matrices, const Eigen::Matrix4d& armature, const Eigen::Matrix4d& world) {
              return RigPose{bone_matrices, armature, world};

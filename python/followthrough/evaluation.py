@@ -7,7 +7,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,25 +14,7 @@ from numpy.typing import NDArray
 from followthrough.character import FloatArray
 from followthrough.elastic import ElasticBody
 from followthrough.sequences import Sequence
-
-
-class ResumableSolver(Protocol):
-    """A solver that can continue from frames that it has not computed."""
-
-    def reset(self, reference: FloatArray) -> None:
-        """Start over on the reference (n, 3), m."""
-
-    def step(self, reference: FloatArray, next_reference: FloatArray | None = None) -> FloatArray:
-        """Take one frame."""
-
-    def state(self) -> Any:
-        """Everything carried from frame to frame."""
-
-    def restore(self, state: Any) -> None:
-        """Go back to a state that `state` returned."""
-
-    def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
-        """Continue after frames (t + 1, n, 3) that are known."""
+from followthrough.solver import Solver
 
 
 @dataclass(frozen=True)
@@ -77,7 +58,7 @@ class Scores:
 
 def evaluate(
     sequence: Sequence,
-    solver: ResumableSolver,
+    solver: Solver,
     frames: Callable[[range], Iterable[int]] = lambda frames: frames,
 ) -> Scores:
     """Score a solver against a sequence's dynamic positions.

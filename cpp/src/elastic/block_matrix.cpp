@@ -5,13 +5,13 @@
 
 #include "elastic/block_rows.hpp"
 #include "instruction_set.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
 
-// Rows below which a product is done sooner than other threads are awake.
-constexpr Eigen::Index rows_worth_threads = 2000;
 constexpr Eigen::Index rows_at_a_time = 256;
+constexpr double block_nanoseconds = 2.5;
 
 decltype(&baseline::multiply_rows) multiply_rows_kernel() {
   switch (instruction_set()) {
@@ -69,7 +69,8 @@ BlockMatrix::BlockMatrix(const std::vector<std::array<Index, 4>>& corners, std::
 void BlockMatrix::multiply(const double* x, double* y) const {
   const auto kernel = multiply_rows_kernel();
   const Eigen::Index chunks = (row_count() + rows_at_a_time - 1) / rows_at_a_time;
-#pragma omp parallel for schedule(static) if (row_count() >= rows_worth_threads)
+  const int threads = worthwhile_threads(static_cast<std::ptrdiff_t>(columns_.size()), block_nanoseconds);
+#pragma omp parallel for schedule(static) num_threads(threads)
   for (Eigen::Index chunk = 0; chunk < chunks; ++chunk) {
     const auto first = static_cast<Index>(chunk * rows_at_a_time);
     const auto last = static_cast<Index>(std::min((chunk + 1) * rows_at_a_time, row_count()));

@@ -8,6 +8,7 @@
 
 #include "elastic/block_rows.hpp"
 #include "instruction_set.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -18,6 +19,8 @@ using Block = BlockMatrix::Block;
 constexpr Index range_size = 2048;
 // Share of its own size that a diagonal block must keep: a smaller one is noise that the incomplete factor has let through.
 constexpr double smallest_pivot = 0.1;
+// What a row takes on one core.
+constexpr double factor_nanoseconds = 400, solve_nanoseconds = 60;
 
 decltype(&baseline::solve_rows) solve_rows_kernel() {
   switch (instruction_set()) {
@@ -57,7 +60,7 @@ void BlockPreconditioner::compute(const BlockMatrix& matrix) {
   double largest = 0;
   for (const Index k : matrix.diagonal()) largest = std::max(largest, matrix.blocks()[k].diagonal().cwiseAbs().maxCoeff());
   scale_ = largest > 0 ? 1 / largest : 1;  // single precision has a short range
-#pragma omp parallel for schedule(static) if (range_count(matrix) > 1)
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(matrix.row_count(), factor_nanoseconds))
   for (Index range = 0; range < range_count(matrix); ++range) {
     compute_range(matrix, range * range_size, range_end(matrix, range));
   }
@@ -92,7 +95,7 @@ void BlockPreconditioner::apply(const Vector& r, Vector& z) const {
   const auto kernel = solve_rows_kernel();
   const TriangularRows factor{lower_.data(),  pattern_->diagonal().data(), upper_.data(), pattern_->columns().data(),
                               blocks_.data(), inverse_diagonal_.data()};
-#pragma omp parallel for schedule(static) if (range_count(*pattern_) > 1)
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(pattern_->row_count(), solve_nanoseconds))
   for (Index range = 0; range < range_count(*pattern_); ++range) {
     kernel(factor, scale_, r.data(), z.data(), range * range_size, range_end(*pattern_, range));
   }

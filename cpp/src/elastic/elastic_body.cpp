@@ -11,6 +11,7 @@
 #include "elastic/element_colors.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -18,6 +19,11 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 using Corners = Eigen::Matrix<double, 3, 4>;  // a column each
+
+// What a tet takes on one core.
+constexpr double force_nanoseconds = 60, stiffness_nanoseconds = 400, mass_nanoseconds = 30;
+// The same for materials and elements without a closed form.
+constexpr double decomposed_nanoseconds = 1500;
 
 // Share of the cube over the longest edge below which a tet has no volume.
 constexpr double smallest_volume = 1e-14;
@@ -137,11 +143,14 @@ ElasticBody::ElasticBody(ElasticBody&&) noexcept = default;
 ElasticBody& ElasticBody::operator=(const ElasticBody&) = default;
 ElasticBody& ElasticBody::operator=(ElasticBody&&) noexcept = default;
 
-// Calls work(batch, first tet, one after its last) for all batches; those at work at a time share no vertex.
+// Calls work(batch, first tet, one after its last) for all batches; those at work at a time share no vertex. Threads meet after
+// every colour, so it is a colour that must be worth them.
 template <typename Work>
-void ElasticBody::for_batches(const Work& work) const {
+void ElasticBody::for_batches(double tet_nanoseconds, const Work& work) const {
   constexpr std::size_t batches_a_cluster = cluster_size / batch_lanes;
-#pragma omp parallel if (batches_.size() >= 8 * batches_a_cluster)
+  const auto colors = static_cast<Eigen::Index>(color_starts_.size() - 1);
+  const int threads = worthwhile_threads(tet_count() / colors, tet_nanoseconds);
+#pragma omp parallel num_threads(threads)
   for (std::size_t color = 0; color + 1 < color_starts_.size(); ++color) {
 #pragma omp for schedule(static)
     for (Index k = color_starts_[color]; k < color_starts_[color + 1]; ++k) {
@@ -155,8 +164,8 @@ void ElasticBody::for_batches(const Work& work) const {
 }
 
 template <typename Work>
-void ElasticBody::for_tets(const Work& work) const {
-  for_batches([&](std::size_t, std::size_t first, std::size_t last) {
+void ElasticBody::for_tets(double tet_nanoseconds, const Work& work) const {
+  for_batches(tet_nanoseconds, [&](std::size_t, std::size_t first, std::size_t last) {
     for (std::size_t tet = first; tet < last; ++tet) work(tet);
   });
 }
@@ -202,31 +211,32 @@ Positions ElasticBody::internal_forces(ConstPositions positions, const Material&
   Vector energies = Vector::Zero(tet_count());
   const auto batch_forces = kernels().forces;
   const bool closed_form = has_closed_form(material);
-  for_batches([&](std::size_t index, std::size_t first, std::size_t last) {
-    ElementBatch batch;
-    if (closed_form) {
-      load_edges(index, positions, batch);
-      batch_forces(batches_[index], batch, InvertibleStVK::smallest_stretch);
-    }
-    for (std::size_t tet = first; tet < last; ++tet) {
-      double& tet_energy = energies[static_cast<Eigen::Index>(tet)];
-      const std::size_t lane = tet - first;
-      if (!closed_form || batch.inside[lane] == 0) {
-        add_force(tet, positions, material, forces, &tet_energy);
-        continue;
-      }
-      tet_energy = batch.energy[lane];
-      const std::array<Index, 4>& v = corners_[tet];
-      for (int axis = 0; axis < 3; ++axis) {
-        const double* f = &batch.forces[3 * axis][lane];
-        const double f1 = f[0], f2 = f[batch_lanes], f3 = f[2 * batch_lanes];
-        forces(v[0], axis) -= f1 + f2 + f3;
-        forces(v[1], axis) += f1;
-        forces(v[2], axis) += f2;
-        forces(v[3], axis) += f3;
-      }
-    }
-  });
+  for_batches(closed_form ? force_nanoseconds : decomposed_nanoseconds,
+              [&](std::size_t index, std::size_t first, std::size_t last) {
+                ElementBatch batch;
+                if (closed_form) {
+                  load_edges(index, positions, batch);
+                  batch_forces(batches_[index], batch, InvertibleStVK::smallest_stretch);
+                }
+                for (std::size_t tet = first; tet < last; ++tet) {
+                  double& tet_energy = energies[static_cast<Eigen::Index>(tet)];
+                  const std::size_t lane = tet - first;
+                  if (!closed_form || batch.inside[lane] == 0) {
+                    add_force(tet, positions, material, forces, &tet_energy);
+                    continue;
+                  }
+                  tet_energy = batch.energy[lane];
+                  const std::array<Index, 4>& v = corners_[tet];
+                  for (int axis = 0; axis < 3; ++axis) {
+                    const double* f = &batch.forces[3 * axis][lane];
+                    const double f1 = f[0], f2 = f[batch_lanes], f3 = f[2 * batch_lanes];
+                    forces(v[0], axis) -= f1 + f2 + f3;
+                    forces(v[1], axis) += f1;
+                    forces(v[2], axis) += f2;
+                    forces(v[3], axis) += f3;
+                  }
+                }
+              });
   if (energy) *energy = energies.sum();
   return forces;
 }
@@ -236,7 +246,7 @@ Positions ElasticBody::stiffness_product(ConstPositions positions, ConstPosition
   require_rows("positions", positions.rows(), vertex_count_);
   require_rows("change", change.rows(), vertex_count_);
   Positions forces = Positions::Zero(vertex_count_, 3);
-  for_tets([&](std::size_t tet) {
+  for_tets(decomposed_nanoseconds, [&](std::size_t tet) {
     const Element& element = elements_[tet];
     const StressDerivative derivative =
         material.stress_derivative(deformation_gradient(tet, positions), element.constants, definiteness);
@@ -250,7 +260,7 @@ Positions ElasticBody::stiffness_product(ConstPositions positions, ConstPosition
 Positions ElasticBody::mass_product(ConstPositions values) const {
   require_rows("values", values.rows(), vertex_count_);
   Positions product = Positions::Zero(vertex_count_, 3);
-  for_tets([&](std::size_t tet) {
+  for_tets(mass_nanoseconds, [&](std::size_t tet) {
     const std::array<Index, 4>& v = corners_[tet];
     const Eigen::RowVector3d sum = values.row(v[0]) + values.row(v[1]) + values.row(v[2]) + values.row(v[3]);
     for (const Index corner : v) product.row(corner) += elements_[tet].mass * (sum + values.row(corner));
@@ -284,38 +294,39 @@ void ElasticBody::add_stiffness(ConstPositions positions, const Material& materi
                                 BlockMatrix& matrix) const {
   const auto batch_stiffness = kernels().stiffness;
   const bool closed_form = has_closed_form(material) && definiteness != Definiteness::kSemidefinite;
-  for_batches([&](std::size_t index, std::size_t first, std::size_t last) {
-    ElementBatch batch;
-    if (closed_form) {
-      load_edges(index, positions, batch);
-      batch_stiffness(batches_[index], batch, InvertibleStVK::smallest_stretch);
-    }
-    for (std::size_t tet = first; tet < last; ++tet) {
-      const std::size_t lane = tet - first;
-      if (!closed_form || batch.inside[lane] == 0) {
-        add_stiffness(tet, positions, material, definiteness, scale, matrix);
-        continue;
-      }
-      // Corner 0 has minus the sum of the others, as row and as column.
-      Matrix3d rows[3] = {Matrix3d::Zero(), Matrix3d::Zero(), Matrix3d::Zero()};
-      int pair = 0;
-      for (int a = 1; a < 4; ++a) {
-        for (int b = a; b < 4; ++b, ++pair) {
-          Matrix3d block;
-          for (int k = 0; k < 9; ++k) block(k / 3, k % 3) = scale * batch.blocks[pair][k][lane];
-          matrix.add(tet, a, b, block);
-          rows[a - 1] += block;
-          if (a != b) rows[b - 1] += block.transpose();
-        }
-      }
-      for (int a = 1; a < 4; ++a) matrix.add(tet, 0, a, -rows[a - 1].transpose());
-      matrix.add(tet, 0, 0, rows[0] + rows[1] + rows[2]);
-    }
-  });
+  for_batches(closed_form ? stiffness_nanoseconds : decomposed_nanoseconds,
+              [&](std::size_t index, std::size_t first, std::size_t last) {
+                ElementBatch batch;
+                if (closed_form) {
+                  load_edges(index, positions, batch);
+                  batch_stiffness(batches_[index], batch, InvertibleStVK::smallest_stretch);
+                }
+                for (std::size_t tet = first; tet < last; ++tet) {
+                  const std::size_t lane = tet - first;
+                  if (!closed_form || batch.inside[lane] == 0) {
+                    add_stiffness(tet, positions, material, definiteness, scale, matrix);
+                    continue;
+                  }
+                  // Corner 0 has minus the sum of the others, as row and as column.
+                  Matrix3d rows[3] = {Matrix3d::Zero(), Matrix3d::Zero(), Matrix3d::Zero()};
+                  int pair = 0;
+                  for (int a = 1; a < 4; ++a) {
+                    for (int b = a; b < 4; ++b, ++pair) {
+                      Matrix3d block;
+                      for (int k = 0; k < 9; ++k) block(k / 3, k % 3) = scale * batch.blocks[pair][k][lane];
+                      matrix.add(tet, a, b, block);
+                      rows[a - 1] += block;
+                      if (a != b) rows[b - 1] += block.transpose();
+                    }
+                  }
+                  for (int a = 1; a < 4; ++a) matrix.add(tet, 0, a, -rows[a - 1].transpose());
+                  matrix.add(tet, 0, 0, rows[0] + rows[1] + rows[2]);
+                }
+              });
 }
 
 void ElasticBody::add_mass(double scale, BlockMatrix& matrix) const {
-  for_tets([&](std::size_t tet) {
+  for_tets(mass_nanoseconds, [&](std::size_t tet) {
     for (int a = 0; a < 4; ++a) {
       for (int b = a; b < 4; ++b) {
         matrix.add(tet, a, b, BlockMatrix::Block::Identity() * (scale * elements_[tet].mass * (a == b ? 2 : 1)));

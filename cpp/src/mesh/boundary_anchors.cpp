@@ -2,6 +2,7 @@
 #include "boundary_anchors.hpp"
 
 #include "followthrough/errors.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 
@@ -26,7 +27,7 @@ std::vector<ClosestPoint> boundary_anchors(ConstPositions surface_vertices, Cons
   }
   const TriangleTree tree(surface_vertices, triangles);
   std::vector<ClosestPoint> anchors(asking.size());
-#pragma omp parallel for schedule(dynamic, 64)
+#pragma omp parallel for schedule(dynamic, 64) num_threads(worthwhile_threads(std::ssize(asking), 2'000))
   for (std::size_t k = 0; k < asking.size(); ++k) {
     const Eigen::Vector3d point = vertices.row(asking[k]);
     if (own_offsets.size() > 0) {

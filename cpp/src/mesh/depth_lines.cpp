@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "depth_lines.hpp"
+#include "worthwhile_threads.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -78,7 +79,7 @@ std::vector<Crossing> find_crossings(const PreparedSurface& surface, const Voxel
 std::vector<char> outside_after(const std::vector<Crossing>& crossings, const TriangleTree& tree, const VoxelGrid& grid, int axis) {
   const int u = (axis + 1) % 3, v = (axis + 2) % 3;
   std::vector<char> outside(crossings.size(), 0);
-#pragma omp parallel for schedule(dynamic, 256)
+#pragma omp parallel for schedule(dynamic, 256) num_threads(worthwhile_threads(std::ssize(crossings), 2'000))
   for (std::size_t k = 0; k < crossings.size(); ++k) {
     if (k + 1 == crossings.size() || crossings[k + 1].line != crossings[k].line) {
       outside[k] = 1;

@@ -12,6 +12,7 @@
 
 #include "disjoint_sets.hpp"
 #include "tet_weights.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -114,7 +115,8 @@ const Mask& LaplaceSolver::given() const noexcept { return state_->given; }
 
 void LaplaceSolver::solve(Values& values) const {
   if (state_->free.empty()) return;
-#pragma omp parallel for schedule(static)
+  const double column_cost = 4.0 * static_cast<double>(state_->factor.matrixL().nestedExpression().nonZeros());  // ns
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(values.cols(), column_cost))
   for (Eigen::Index column = 0; column < values.cols(); ++column) {
     Vector known = values.col(column);
     const Vector solution = state_->factor.solve(state_->to_given * known);

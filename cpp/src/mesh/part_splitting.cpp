@@ -12,6 +12,7 @@
 #include "cell_patches.hpp"
 #include "depth_lines.hpp"
 #include "disjoint_sets.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -80,7 +81,7 @@ class PartSplitter {
     touch_nodes_.resize(voxels_.touch_triangles.size());
     borders_.resize(touched_.size());
     std::vector<Index> counts(touched_.size());
-#pragma omp parallel for schedule(dynamic, 32)
+#pragma omp parallel for schedule(dynamic, 32) num_threads(worthwhile_threads(std::ssize(voxels_.touch_triangles), 300))
     for (std::size_t k = 0; k < touched_.size(); ++k) {
       CellPatches patches = patches_in_cell(surface_, voxels_, touched_[k]);
       std::copy(patches.labels.begin(), patches.labels.end(),
@@ -226,7 +227,7 @@ class PartSplitter {
 
   // What no line told: patches that see each other, or a point of the lattice, through material.
   void join_by_sight(DisjointSets& nodes) const {
-#pragma omp parallel for schedule(dynamic, 8)
+#pragma omp parallel for schedule(dynamic, 8) num_threads(worthwhile_threads(std::ssize(touched_), 5'000))
     for (std::size_t k = 0; k < touched_.size(); ++k) look_around(k, nodes);
   }
 

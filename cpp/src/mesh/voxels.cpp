@@ -7,6 +7,7 @@
 
 #include "box_tree.hpp"
 #include "followthrough/errors.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -65,7 +66,7 @@ std::vector<Index> find_touched(const PreparedSurface& surface, Voxels& voxels) 
   const Eigen::Index chunks = (triangles + chunk - 1) / chunk;
   std::vector<std::vector<std::pair<Index, Index>>> found(static_cast<std::size_t>(chunks));
   std::vector<std::vector<Index>> missed(static_cast<std::size_t>(chunks));
-#pragma omp parallel for schedule(dynamic)
+#pragma omp parallel for schedule(dynamic) num_threads(worthwhile_threads(triangles, 200))
   for (Eigen::Index c = 0; c < chunks; ++c) {
     auto& own = found[static_cast<std::size_t>(c)];
     for (Eigen::Index t = c * chunk; t < std::min(triangles, (c + 1) * chunk); ++t) {
@@ -131,7 +132,7 @@ void fill_closed(const PreparedSurface& surface, const TriangleTree& tree, const
 
 void fill_open(const TriangleTree& tree, Voxels& voxels) {
   const Index count = voxels.grid.count();
-#pragma omp parallel for schedule(dynamic, 64)
+#pragma omp parallel for schedule(dynamic, 64) num_threads(worthwhile_threads(count, 2'000))
   for (Index cell = 0; cell < count; ++cell) {
     if (voxels.touched(cell)) continue;
     const Eigen::Vector3d centre = voxels.grid.from_grid(voxels.grid.cell(cell).cast<double>() + Eigen::Vector3d::Constant(0.5));

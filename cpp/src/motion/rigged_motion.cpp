@@ -18,6 +18,7 @@
 #include "followthrough/errors.hpp"
 #include "skinning/bone_blend.hpp"
 #include "skinning/stretch_solve.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -162,7 +163,9 @@ MotionFrame RiggedMotion::step(const RigPose& pose, const RigPose* next) {
   int unusable = 0;
   double displacement_squared = 0.0;
   double residual_squared = 0.0;
-#pragma omp parallel for schedule(static) reduction(| : unusable) reduction(max : displacement_squared, residual_squared)
+  const int threads = worthwhile_threads(count, 10 + blend.nanoseconds() + stretch_solve_nanoseconds);
+#pragma omp parallel for schedule(static) num_threads(threads) reduction(| : unusable) \
+    reduction(max : displacement_squared, residual_squared)
   for (Eigen::Index vertex = 0; vertex < count; ++vertex) {
     const auto tet = character_.tets.row(character_.embedding.tets[vertex]);
     const auto weights = character_.embedding.weights.row(vertex);

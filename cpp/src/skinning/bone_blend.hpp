@@ -22,6 +22,12 @@ class BoneBlend {
 
   Eigen::Index vertex_count() const { return weights_.weights.rows(); }
 
+  /// What one `vertex_transform` takes, roughly (see worthwhile_threads).
+  double nanoseconds() const {
+    return skinning_ == Skinning::linear ? 5.0 + 6.0 * static_cast<double>(weights_.weights.cols())
+                                         : 30.0 + 10.0 * static_cast<double>(weights_.weights.cols());
+  }
+
   /// @brief The transform of one vertex.
   /// @param valid set to false, and otherwise left alone, where the vertex's indices or weights cannot be used; the result is then
   ///   meaningless. `require_weights` tells what is wrong.

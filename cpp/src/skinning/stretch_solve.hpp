@@ -12,6 +12,9 @@
 
 namespace followthrough {
 
+/// What `stretch_solve` takes, roughly, where nothing has to be clamped (see worthwhile_threads).
+inline constexpr double stretch_solve_nanoseconds = 15;
+
 /// @brief Solves J offset = displacement with the singular values of J raised to `minimum_stretch` where they are below.
 /// @return the offset, not finite where the numbers overflow
 inline Eigen::Vector3d stretch_solve(const Eigen::Matrix3d& jacobian, const Eigen::Vector3d& displacement, double minimum_stretch) {

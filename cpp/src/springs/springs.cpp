@@ -10,14 +10,18 @@
 #include "followthrough/springs/spring_coefficients.hpp"
 #include "instruction_set.hpp"
 #include "springs/springs_step.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
 
 // Vertices a thread takes at a time.
 constexpr Eigen::Index block = 2048;
-// Below so many blocks a step takes less time than waking and joining other threads may.
-constexpr Eigen::Index blocks_worth_threads = 16;
+// Nanoseconds a vertex, for worthwhile_threads.
+constexpr double coefficients_cost = 150;
+constexpr double step_cost = 8;
+constexpr double finite_cost = 2;
+constexpr double evaluate_cost = 200;
 
 struct Kernels {
   decltype(&baseline::springs_step) step;
@@ -40,9 +44,9 @@ Kernels kernels() {
 }
 
 template <typename Work>
-void for_blocks(Eigen::Index count, const Work& work) {
+void for_blocks(Eigen::Index count, double nanoseconds, const Work& work) {
   const Eigen::Index blocks = (count + block - 1) / block;
-#pragma omp parallel for schedule(static) if (blocks >= blocks_worth_threads)
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(count, nanoseconds))
   for (Eigen::Index b = 0; b < blocks; ++b) {
     work(b * block, std::min((b + 1) * block, count));
   }
@@ -53,7 +57,7 @@ void require_finite_references(const double* reference, const double* next_refer
   const auto all_finite = kernels().all_finite;
   const Eigen::Index blocks = (vertices + block - 1) / block;
   bool finite = true;
-#pragma omp parallel for schedule(static) reduction(&& : finite) if (blocks >= blocks_worth_threads)
+#pragma omp parallel for schedule(static) reduction(&& : finite) num_threads(worthwhile_threads(vertices, finite_cost))
   for (Eigen::Index b = 0; b < blocks; ++b) {
     const Eigen::Index first = 3 * b * block;
     const Eigen::Index count = std::min(3 * block, 3 * vertices - first);
@@ -112,7 +116,7 @@ Springs::Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMas
     }
   }
   factors_.resize(6, count);
-  for_blocks(count, [&](Eigen::Index first, Eigen::Index last) {
+  for_blocks(count, coefficients_cost, [&](Eigen::Index first, Eigen::Index last) {
     for (Eigen::Index v = first; v < last; ++v) {
       const SpringCoefficients k = spring_coefficients(stiffness_[v], damping_[v], dt_);
       factors_.col(v) << k.decay, k.impulse, k.impulse_slope, k.restoring, k.acceleration, k.acceleration_slope;
@@ -169,7 +173,7 @@ const Positions& Springs::step(ConstPositions reference, const Positions* next_r
   }
   const auto springs_step = kernels().step;
   const bool first_frame = frames_ == 0;
-  for_blocks(count, [&](Eigen::Index first, Eigen::Index last) {
+  for_blocks(count, step_cost, [&](Eigen::Index first, Eigen::Index last) {
     if (first_frame) {
       for (Eigen::Index i = 3 * first; i < 3 * last; ++i) {
         frame.velocities[i] = (frame.end[i] - frame.start[i]) / dt_;
@@ -198,7 +202,7 @@ Positions Springs::evaluate(double fraction, ConstPositions reference, const Pos
     require_finite("next_reference", *next_reference);
   }
   Positions result(vertex_count(), 3);
-  for_blocks(vertex_count(), [&](Eigen::Index first, Eigen::Index last) {
+  for_blocks(vertex_count(), evaluate_cost, [&](Eigen::Index first, Eigen::Index last) {
     auto pin = std::lower_bound(pinned_.begin(), pinned_.end(), first);
     for (Eigen::Index v = first; v < last; ++v) {
       const Eigen::Vector3d start = reference_.row(v), end = reference.row(v);

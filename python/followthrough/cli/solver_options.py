@@ -16,6 +16,7 @@ from followthrough.springs import Springs
 
 if TYPE_CHECKING:
     from followthrough.sequences import Sequence
+    from followthrough.solver import Solver
 
 #: Solver -> the options that it has.
 OPTIONS = {
@@ -100,7 +101,7 @@ def check_owners(args: argparse.Namespace, options: Mapping[str, tuple[str, ...]
             raise ValueError(f"--{flag}: found together with --solver {args.solver}, expected only with {owners}")
 
 
-def make_solver(sequence: Sequence, args: argparse.Namespace) -> Springs | ImplicitEuler | CentralDifferences:
+def make_solver(sequence: Sequence, args: argparse.Namespace) -> Solver:
     """The solver that the arguments ask for, made for a sequence. What is odd about it goes to standard error.
 
     Raises

@@ -207,8 +207,8 @@ def test_an_error_halfway_is_reported_and_restores(
     before = contents()
     frames = addon.bake.session.Bake.run
 
-    def breaks(self: Any) -> Any:
-        for progress in frames(self):
+    def breaks(self: Any, **options: Any) -> Any:
+        for progress in frames(self, **options):
             yield progress
             if progress.done == 3:
                 raise ValueError("Column: frame 3 is not finite")

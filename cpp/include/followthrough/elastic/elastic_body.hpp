@@ -81,9 +81,9 @@ class ElasticBody {
   void add_stiffness(std::size_t tet, ConstPositions positions, const Material& material, Definiteness definiteness, double scale,
                      BlockMatrix& matrix) const;
   template <typename Work>
-  void for_batches(const Work& work) const;
+  void for_batches(double tet_nanoseconds, const Work& work) const;
   template <typename Work>
-  void for_tets(const Work& work) const;
+  void for_tets(double tet_nanoseconds, const Work& work) const;
   void load_edges(std::size_t batch, ConstPositions positions, ElementBatch& to) const;
 
   Eigen::Index vertex_count_;
