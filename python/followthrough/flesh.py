@@ -17,6 +17,8 @@ from followthrough.volume import Volume
 
 #: Usual thickness of the flesh on the bones, as a share of the character's size. Soft pins and damping are measured by it.
 FLESH_THICKNESS = 0.1
+#: Flesh hardly changes its volume.
+POISSON_RATIO = 0.45
 #: Pins weaker than this hold nothing: what smoothing leaves of them.
 _LEAST_PIN = 1e-3
 
@@ -24,10 +26,10 @@ _LEAST_PIN = 1e-3
 def make_flesh(volume: Volume, settings: SimulationSettings, dt: float) -> Solver:
     """Backward Euler finite elements on a volume, with painted constants. The rest pose is the rest shape.
 
-    Vertices that are pinned follow the reference exactly. A soft pin p is a spring to the reference of p / (1 - p) times the
-    stiffness of the flesh itself, taken as `FLESH_THICKNESS` of the character thick: of the motion that the flesh would
-    have, about 1 - p is left, whatever size, frame rate, mass and stiffness are. Parts that no pin holds follow the
-    reference as a whole (`loose_vertices`).
+    Vertices that are pinned follow the reference exactly. A soft pin p is a spring to the reference that is p / (1 - p) times as
+    stiff as the flesh itself: as a layer on a bone, `FLESH_THICKNESS` of the character thick. Of the motion that such flesh
+    would have, 1 - p is left, whatever size, frame rate, mass and stiffness are. Parts that no pin holds follow the reference
+    as a whole (`loose_vertices`).
 
     Parameters
     ----------
@@ -55,7 +57,13 @@ def make_flesh(volume: Volume, settings: SimulationSettings, dt: float) -> Solve
     size = volume.surface.size
     unit_modulus = _logarithmic(settings.youngs_modulus_range, volume.stiffness)
     density = _logarithmic(settings.density_range, volume.mass)
-    body = ElasticBody(volume.tet_mesh.vertices, volume.tet_mesh.tets, unit_modulus * size**2, density=density)
+    body = ElasticBody(
+        volume.tet_mesh.vertices,
+        volume.tet_mesh.tets,
+        unit_modulus * size**2,
+        density=density,
+        poisson_ratio=POISSON_RATIO,
+    )
     soft = np.where(constrained, 0.0, volume.pins)
     return ImplicitEuler(
         body,
@@ -79,7 +87,7 @@ def loose_vertices(volume: Volume) -> NDArray[np.bool_]:
 
 def _connected_parts(tets: NDArray[np.int32], vertex_count: int) -> NDArray[np.intp]:
     """Lowest vertex (n,) of the connected part that each vertex is in."""
-    lowest = np.arange(vertex_count)
+    lowest: NDArray[np.intp] = np.arange(vertex_count)
     while True:
         before = lowest.copy()
         np.minimum.at(lowest, tets, lowest[tets].min(axis=1, keepdims=True))
@@ -95,8 +103,12 @@ def _logarithmic(ends: tuple[float, float], painted: FloatArray) -> FloatArray:
 
 
 def _flesh_rate(unit_modulus: FloatArray, density: FloatArray) -> FloatArray:
-    """How fast flesh of usual thickness swings, radians a second: sqrt(E / density) over the thickness."""
-    rate: FloatArray = np.sqrt(unit_modulus / density) / FLESH_THICKNESS
+    """How fast a layer of flesh of usual thickness on a bone swings along the bone, radians a second.
+
+    A quarter of a shear wave fits into it: pi / 2 sqrt(shear modulus / density) / thickness.
+    """
+    shear_modulus = unit_modulus / (2.0 * (1.0 + POISSON_RATIO))
+    rate: FloatArray = 0.5 * math.pi * np.sqrt(shear_modulus / density) / FLESH_THICKNESS
     return rate
 
 

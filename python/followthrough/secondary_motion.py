@@ -113,8 +113,12 @@ class RiggedMotion:
 
     def step(self, pose: Pose, next_pose: Pose | None) -> Frame:
         """Take one frame."""
-        frame = self._core.step(self._pose(pose), None if next_pose is None else self._pose(next_pose))
-        return Frame(*frame, _has_converged(self._solver))
+        return self._frame(self._core.step(self._pose(pose), None if next_pose is None else self._pose(next_pose)))
+
+    def reference(self, pose: Pose) -> FloatArray:
+        """Where the rig alone puts the volume's vertices, (n, 3) in the world, metres: what the solver is given."""
+        reference: FloatArray = self._core.reference(self._pose(pose))
+        return reference
 
     def begin(self, pose: Pose, next_pose: Pose | None) -> None:
         """Start a frame on the core's own thread."""
@@ -127,8 +131,13 @@ class RiggedMotion:
 
     def finish(self) -> Frame:
         """Wait for it."""
-        frame = self._core.finish()
-        return Frame(*frame, _has_converged(self._solver))
+        return self._frame(self._core.finish())
+
+    def _frame(self, result: tuple[FloatArray, FloatArray, float, float]) -> Frame:
+        offsets, displacements, largest_displacement, largest_residual = result
+        return Frame(
+            offsets, displacements, largest_displacement, largest_residual, converged=_has_converged(self._solver)
+        )
 
     def _pose(self, pose: Pose) -> Any:
         if not isinstance(pose, BonePose):

@@ -69,8 +69,9 @@ class SimulationSettings:
     density_range
         Density (kg/m³) where the mass group is painted 0 and 1, logarithmic between.
     damping_ratio
-        Damping beside backward Euler's own, which no setting takes away: share of critical damping of flesh of middle
-        stiffness, `FLESH_THICKNESS` of the character thick. Faster motion is damped more, rigid motion not at all.
+        Damping beside backward Euler's own, which no setting takes away: share of critical damping of a layer of flesh
+        of middle stiffness, a tenth of the character thick (`flesh.FLESH_THICKNESS`). Faster motion is damped more, rigid
+        motion not at all.
     gravity
         Downwards along the world's z, m/s². Rigs are usually modelled as gravity has them, so it is 0 as it comes.
     quality

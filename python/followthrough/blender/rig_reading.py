@@ -137,7 +137,7 @@ class BoneReader:
         to_mesh = np.linalg.inv(world) @ _matrix(armature)
         with np.errstate(invalid="ignore", over="ignore"):  # whoever asked for the pose checks it
             matrices = to_mesh @ channels @ np.linalg.inv(to_mesh)
-        return BonePose(bone_matrices=matrices, world=world, armature=to_mesh)
+        return BonePose(bone_matrices=np.asarray(matrices, dtype=np.float64), world=world, armature=to_mesh)
 
 
 def _armature_modifier(obj: bpy.types.Object) -> bpy.types.Modifier | None:
