@@ -45,7 +45,9 @@ class Bone:
 def _limbs(side: str, sign: float) -> dict[str, Bone]:
     return {
         f"upper arm {side}": Bone((sign * 0.75, 0, 3.5), (sign * 1.3, 0, 3.0), 0.27, "chest", (40, 30, 20)),
-        f"forearm {side}": Bone((sign * 1.3, 0, 3.0), (sign * 1.75, -0.1, 2.25), 0.25, f"upper arm {side}", (30, 15, 10)),
+        f"forearm {side}": Bone(
+            (sign * 1.3, 0, 3.0), (sign * 1.75, -0.1, 2.25), 0.25, f"upper arm {side}", (30, 15, 10)
+        ),
         f"thigh {side}": Bone((sign * 0.42, 0, 2.05), (sign * 0.6, 0, 1.25), 0.36, "hips", (25, 10, 10)),
         f"shin {side}": Bone((sign * 0.6, 0, 1.25), (sign * 0.68, 0, 0.36), 0.28, f"thigh {side}", (20, 0, 0)),
     }
@@ -81,7 +83,9 @@ def surface() -> tuple[FloatArray, IntArray]:
     return np.concatenate(vertices), np.concatenate(triangles).astype(np.int32)
 
 
-def _capsule(head: FloatArray, tail: FloatArray, radius: float, rings: int = 8, sides: int = 24) -> tuple[FloatArray, IntArray]:
+def _capsule(
+    head: FloatArray, tail: FloatArray, radius: float, rings: int = 8, sides: int = 24
+) -> tuple[FloatArray, IntArray]:
     axis = (tail - head) / np.linalg.norm(tail - head)
     across = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.5 else (0.0, 1.0, 0.0))
     across /= np.linalg.norm(across)
@@ -91,7 +95,8 @@ def _capsule(head: FloatArray, tail: FloatArray, radius: float, rings: int = 8, 
     turn = 2.0 * np.pi * np.arange(sides) / sides
     ring = np.sin(polar)[:, None]
     local = np.stack(
-        [ring * np.cos(turn), ring * np.sin(turn), np.broadcast_to(np.cos(polar)[:, None], (len(polar), sides))], axis=-1
+        [ring * np.cos(turn), ring * np.sin(turn), np.broadcast_to(np.cos(polar)[:, None], (len(polar), sides))],
+        axis=-1,
     )
     centres = np.where(np.arange(len(polar))[:, None] < rings, tail, head)
     vertices = np.concatenate(
@@ -150,7 +155,7 @@ def _dance(frame: int) -> tuple[FloatArray, FloatArray]:
     share = min(within / arrival, 1.0)
     eased = share * share * (3.0 - 2.0 * share)
     turns, travel = (a + eased * (b - a) for a, b in zip(before, after, strict=True))
-    if beat % 3 == 1:
+    if beat % 3 == 0:
         travel[2] += 4.0 * 0.6 * (within / BEAT) * (1.0 - within / BEAT)
     return turns, travel
 
@@ -163,8 +168,8 @@ def _key(beat: int) -> tuple[FloatArray, FloatArray]:
     count = 3 * len(BONES)
     spread = (np.sqrt(np.arange(2, count + 2) * 7.0 + 3.0) * beat) % 1.0
     angles = (2.0 * spread - 1.0).reshape(-1, 3) * np.radians([bone.swing for bone in BONES.values()])
-    quarters = [0, 2, 1, -1, 0, 2, 3, 1]  # of a circle, after 0, 2, 4 ... beats
-    cycle, place = divmod(beat // 2, len(quarters) - 1)
+    quarters = [0, 2, 1, -1, 0, 2, 3, 1]  # of a circle, after 0, 1, 3, 5 ... beats
+    cycle, place = divmod((beat + 1) // 2, len(quarters) - 1)
     angles[0, 2] += np.pi / 2 * (quarters[place] + cycle * (quarters[-1] - quarters[0]))
     stride = np.array([(0.754 * beat) % 1.0 - 0.5, (0.569 * beat) % 1.0 - 0.5, -0.15 * ((0.438 * beat) % 1.0)])
     return angles, stride * np.array([1.6, 1.6, 1.0])

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from followthrough.benchmarking import dancer
-from followthrough.character import FloatArray, distances_to_segments
+from followthrough.character import distances_to_segments
 from followthrough.elastic import ElasticBody, MaterialName
 from followthrough.mesh import TetMesh, tetrahedralize
 from followthrough.sequences import Sequence
