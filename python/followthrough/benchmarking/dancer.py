@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from followthrough.character import FloatArray, IntArray
+from followthrough.datasets.surfaces import Surface, together, tube
 
 #: Seconds a frame [DE].
 DT = 0.001**0.5
@@ -71,47 +72,10 @@ def segments() -> FloatArray:
     return np.array([(bone.head, bone.tail) for bone in BONES.values()], dtype=np.float64)
 
 
-def surface() -> tuple[FloatArray, IntArray]:
-    """The skin: capsules that cross each other, vertices (v, 3) m and triangles (t, 3)."""
+def surface() -> Surface:
+    """The skin: capsules that cross each other, m."""
     capsules = [(bone.head, bone.tail, bone.radius) for bone in BONES.values()] + list(SOFT_PARTS)
-    vertices: list[FloatArray] = []
-    triangles: list[IntArray] = []
-    for head, tail, radius in capsules:
-        points, faces = _capsule(np.array(head, dtype=np.float64), np.array(tail, dtype=np.float64), radius)
-        triangles.append(faces + sum(len(part) for part in vertices))
-        vertices.append(points)
-    return np.concatenate(vertices), np.concatenate(triangles).astype(np.int32)
-
-
-def _capsule(
-    head: FloatArray, tail: FloatArray, radius: float, rings: int = 8, sides: int = 24
-) -> tuple[FloatArray, IntArray]:
-    axis = (tail - head) / np.linalg.norm(tail - head)
-    across = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.5 else (0.0, 1.0, 0.0))
-    across /= np.linalg.norm(across)
-    frame = np.array([across, np.cross(axis, across), axis])
-    polar = np.pi * np.arange(1, 2 * rings) / (2 * rings)
-    polar = np.concatenate([polar[:rings], polar[rings - 1 :]])  # the equator twice, once around each end
-    turn = 2.0 * np.pi * np.arange(sides) / sides
-    ring = np.sin(polar)[:, None]
-    local = np.stack(
-        [ring * np.cos(turn), ring * np.sin(turn), np.broadcast_to(np.cos(polar)[:, None], (len(polar), sides))],
-        axis=-1,
-    )
-    centres = np.where(np.arange(len(polar))[:, None] < rings, tail, head)
-    vertices = np.concatenate(
-        [[tail + radius * axis], (centres[:, None] + radius * (local @ frame)).reshape(-1, 3), [head - radius * axis]]
-    )
-    here, there = np.arange(sides), np.roll(np.arange(sides), -1)
-    last = len(vertices) - 1
-    faces = [np.stack([np.zeros_like(here), 1 + here, 1 + there], axis=1)]
-    for top in 1 + sides * np.arange(len(polar) - 1):
-        bottom = top + sides
-        faces.append(np.stack([top + here, bottom + here, bottom + there], axis=1))
-        faces.append(np.stack([top + here, bottom + there, top + there], axis=1))
-    bottom = last - sides
-    faces.append(np.stack([bottom + here, np.full_like(here, last), bottom + there], axis=1))
-    return vertices, np.concatenate(faces).astype(np.int32)
+    return together([tube([head, tail], [radius, radius], side=(0.3, 1.0, 0.2)) for head, tail, radius in capsules])
 
 
 def bone_weights(points: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -86,11 +86,11 @@ def make_scene(vertices: int, frames: int) -> Scene:
 
 
 def _volume_of(vertices: int) -> TetMesh:
-    points, triangles = dancer.surface()
+    skin = dancer.surface()
     edge = 0.2 * (1500 / vertices) ** (1 / 3)
     best: TetMesh | None = None
     for _ in range(12):
-        volume = tetrahedralize(points, triangles, cell_size=edge)
+        volume = tetrahedralize(skin.vertices, skin.triangles, cell_size=edge)
         if best is None or _miss(volume, vertices) < _miss(best, vertices):
             best = volume
         if _miss(best, vertices) <= _CLOSE_ENOUGH:
