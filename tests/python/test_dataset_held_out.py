@@ -20,7 +20,7 @@ HELD_OUT = {"characters", "choreography"}
 
 @pytest.fixture(scope="module")
 def sequences() -> dict[str, Sequence]:
-    recipe = HeldOutRecipe(frames=120)
+    recipe = HeldOutRecipe(frames=80)
     return {item.name: recipe.make(item) for item in recipe.items(1)}
 
 
