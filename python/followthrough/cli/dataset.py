@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from followthrough.cli.progress import ProgressBar
-from followthrough.datasets import SphereRecipe, generate
+from followthrough.datasets import ShapesRecipe, SphereRecipe, generate
 from followthrough.datasets.generation import PRECISIONS
 from followthrough.datasets.motions import PUBLISHED_FRAMES
 from followthrough.datasets.spheres import PUBLISHED_STIFFNESSES
+from followthrough.datasets.varied import STIFFNESS_RANGE
 
 if TYPE_CHECKING:
     from followthrough.datasets import Recipe, Summary
@@ -42,6 +43,22 @@ def add_parser(subparsers: Any) -> None:
         default=list(PUBLISHED_STIFFNESSES),
         help=f"Young's moduli, Pa (default {' '.join(f'{modulus:g}' for modulus in PUBLISHED_STIFFNESSES)})",
     )
+    shapes = kinds.add_parser(
+        "shapes",
+        help="many shapes in lively motions, of any stiffness and painted materials",
+        description="Slabs, blobs, dumbbells, limbs, ears, tails, rings and forks, moved by one or several bones with fast "
+        "turns, jumps, stops, twists and swings; each of its own size, frame rate, stiffness and density.",
+    )
+    _add_common(shapes, "sequences, each of a shape, a motion and a material of its own", ShapesRecipe.frames)
+    shapes.add_argument(
+        "--stiffness-range",
+        metavar=("LOW", "HIGH"),
+        type=float,
+        nargs=2,
+        default=list(STIFFNESS_RANGE),
+        help="of E h^2 / (density edge^2), drawn evenly in its logarithm "
+        f"(default {' '.join(f'{bound:g}' for bound in STIFFNESS_RANGE)})",
+    )
 
 
 def _add_common(parser: argparse.ArgumentParser, motions: str, frames: int) -> None:
@@ -64,7 +81,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _recipe(args: argparse.Namespace) -> Recipe:
-    return SphereRecipe(args.seed, tuple(args.stiffnesses), args.frames)
+    if args.kind == "sphere":
+        return SphereRecipe(args.seed, tuple(args.stiffnesses), args.frames)
+    return ShapesRecipe(args.seed, args.frames, tuple(args.stiffness_range))
 
 
 def _make(recipe: Recipe, args: argparse.Namespace) -> int:

@@ -47,6 +47,53 @@ def ellipsoid(centre: ArrayLike, half_axes: ArrayLike, rings: int = 24, sides: i
     return Surface(np.asarray(centre) + combine(vertices, axes), _lathe_triangles(len(polar), sides))
 
 
+def slab(centre: ArrayLike, half_sides: ArrayLike, roundness: float = 0.3, rings: int = 24, sides: int = 48) -> Surface:
+    """A box with rounded edges: a superellipsoid, with flat sides for a roundness of 0 and an ellipsoid's for 1."""
+    ball = ellipsoid((0, 0, 0), (1, 1, 1), rings, sides)
+    exponent = 2.0 / max(roundness, 0.05)
+    size = (np.abs(ball.vertices) ** exponent).sum(axis=1, keepdims=True) ** (1.0 / exponent)
+    return Surface(np.asarray(centre) + ball.vertices / size * np.asarray(half_sides), ball.triangles)
+
+
+def tube(centres: ArrayLike, radii: ArrayLike, side: ArrayLike = (0.0, 0.0, 1.0), sides: int = 24) -> Surface:
+    """A tube along a line, with round ends.
+
+    Parameters
+    ----------
+    centres : (k, 3)
+        Points of the line, two or more.
+    radii : (k,) or (k, 2)
+        Half widths there; of a flat tube across `side`, and along it.
+    side : (3,)
+        Which way is flat. Anything that is not along the line's beginning.
+    sides
+        Faces around.
+    """
+    line = np.asarray(centres, dtype=np.float64)
+    widths = np.asarray(radii, dtype=np.float64)
+    widths = np.broadcast_to(widths.reshape(len(line), -1), (len(line), 2))
+    tangents = np.gradient(line, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    across = _carried_along(tangents, np.asarray(side, dtype=np.float64))
+    along = np.cross(tangents, across)
+    bend = np.linspace(0.0, np.pi / 2, 5)[1:-1]
+    ends = []
+    for end, outwards in ((0, -1.0), (-1, 1.0)):
+        reach = widths[end].min() * np.cos(bend)[:, None] * tangents[end] * outwards
+        rings = [
+            (line[end] + reach[k], widths[end] * np.sin(bend[k]), across[end], along[end]) for k in range(len(bend))
+        ]
+        pole = line[end] + outwards * widths[end].min() * tangents[end]
+        ends.append((rings if end == 0 else rings[::-1], pole))
+    middle = list(zip(line, widths, across, along, strict=True))
+    rings = [*ends[0][0], *middle, *ends[1][0]]
+    cosine, sine = _circle(sides)
+    # Counter-clockwise seen from the first end.
+    points = [c + w[1] * cosine[:, None] * a - w[0] * sine[:, None] * b for c, w, a, b in rings]
+    vertices = np.concatenate([ends[0][1][None], *points, ends[1][1][None]])
+    return Surface(vertices, _lathe_triangles(len(rings), sides))
+
+
 def combine(coefficients: FloatArray, vectors: FloatArray) -> FloatArray:
     """Sums of vectors (3, 3), rows, with coefficients (n, 3). The order of summing is fixed, unlike a matrix library's."""
     first, second, third = (coefficients[..., k : k + 1] * vectors[..., k, :] for k in range(3))
@@ -63,6 +110,16 @@ def together(surfaces: list[Surface]) -> Surface:
             np.int32
         ),
     )
+
+
+def _carried_along(tangents: FloatArray, side: FloatArray) -> FloatArray:
+    """Unit vectors across a line that turn no more than it does, the first one as near to `side` as can be."""
+    carried = []
+    for tangent in tangents:
+        side = side - np.dot(side, tangent) * tangent
+        side = side / np.linalg.norm(side)
+        carried.append(side)
+    return np.stack(carried)
 
 
 def _circle(sides: int) -> tuple[FloatArray, FloatArray]:
