@@ -109,18 +109,40 @@ def make_solver(sequence: Sequence, args: argparse.Namespace) -> Solver:
     ValueError
         Where sequence and arguments do not make one.
     """
+    body = _sound_body(sequence, args)
     if args.solver == "springs":
         if args.springs is not None:
             stiffness, damping = load_constants(args.springs, sequence.vertex_count)
         else:
             stiffness, damping = uniform_constants(sequence.vertex_count, args.stiffness, args.damping)
         return Springs(stiffness, damping, sequence.dt, sequence.constrained)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        body = ElasticBody.of_sequence(sequence, args.material or MATERIALS[0])
-    for warning in caught:
-        print(f"followthrough: warning: {args.sequence}: {warning.message}", file=sys.stderr)
+    assert body is not None  # only springs do without tets
     if args.solver == "central-differences":
         return CentralDifferences(body, sequence.constrained, sequence.dt, substeps=args.substeps)
     quality: Quality = args.quality or "converged"
     return ImplicitEuler(body, sequence.constrained, sequence.dt, quality=quality, tolerance=args.tolerance)
+
+
+def _sound_body(sequence: Sequence, args: argparse.Namespace) -> ElasticBody | None:
+    """The sequence as an elastic body; None where it has no tets, which springs can do without.
+
+    Every solver wants the same of a sequence, so that a file that one takes is none that another one refuses.
+
+    Raises
+    ------
+    ValueError
+        Naming the file.
+    """
+    if sequence.constrained.all():
+        raise ValueError(f"{args.sequence}: constrained: found no free vertex, expected at least one")
+    if args.solver == "springs" and not len(sequence.tets):
+        return None
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            body = ElasticBody.of_sequence(sequence, args.material or MATERIALS[0])
+        except ValueError as error:
+            raise ValueError(f"{args.sequence}: {error}") from None
+    for warning in caught:
+        print(f"followthrough: warning: {args.sequence}: {warning.message}", file=sys.stderr)
+    return body
