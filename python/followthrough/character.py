@@ -161,7 +161,8 @@ def distances_to_segments(points: FloatArray, segments: FloatArray) -> FloatArra
         if length_squared > 0:
             away -= along[:, None] * np.clip((along / length_squared) @ away, 0.0, 1.0)
         np.minimum(nearest, np.einsum("ij,ij->j", away, away), out=nearest)
-    return np.sqrt(nearest)
+    distances: FloatArray = np.sqrt(nearest)
+    return distances
 
 
 def flesh_thickness(surface: Surface) -> float:

@@ -234,9 +234,8 @@ def transfer_bone_weights(
         chosen = (position >= start) & (position < start + width)
         columns_now = min(width, len(present) - start)
         places_now = rows[chosen] * columns_now + position[chosen] - start
-        dense = np.bincount(places_now, weights=shares[chosen], minlength=count * columns_now).reshape(
-            count, columns_now
-        )
+        summed = np.bincount(places_now, weights=shares[chosen], minlength=count * columns_now).astype(np.float64)
+        dense = summed.reshape(count, columns_now)
         block = np.asarray(transfer(dense), dtype=np.float64)
         carried = block.sum(axis=1) if start == 0 else carried + block.sum(axis=1)
         # The total is one, or will be: what is dropped here is dropped below as well.

@@ -167,13 +167,9 @@ VertexTransform BoneBlend::linear_transform(Eigen::Index vertex, bool& valid) co
   LinearRow sum;
   const double total = sum_rows(vertex, sum.data(), valid);
   if (!(total > least_total_weight)) return {Matrix3d::Identity(), Vector3d::Zero()};
-  const double share = 1.0 / total;
-  VertexTransform transform;
-  for (int row = 0; row < 3; ++row) {  // number by number: vectors would have to be put together from what was just stored
-    for (int column = 0; column < 3; ++column) transform.linear(row, column) = share * sum[4 * row + column];
-    transform.translation[row] = share * sum[4 * row + 3];
-  }
-  return transform;
+  sum *= 1.0 / total;
+  const Eigen::Map<const Matrix34> blended(sum.data());
+  return {blended.leftCols<3>(), blended.col(3)};
 }
 
 VertexTransform BoneBlend::dual_quaternion_transform(Eigen::Index vertex, bool& valid) const {
