@@ -8,35 +8,11 @@
 #include "bindings.hpp"
 #include "followthrough/elastic/central_differences.hpp"
 #include "followthrough/elastic/implicit_euler.hpp"
-#include "followthrough/errors.hpp"
 
 namespace py = pybind11;
 
 namespace followthrough {
 namespace {
-
-// Everything of the Solver interface that Python sees.
-template <typename SolverType>
-void bind_solver(py::class_<SolverType>& solver) {
-  solver.def_property_readonly("vertex_count", &SolverType::vertex_count)
-      .def(
-          "reset", [](SolverType& self, ConstPositions reference) { self.reset(reference); }, py::arg("reference"),
-          py::call_guard<py::gil_scoped_release>(), "Starts over on the reference (n, 3), m.")
-      .def(
-          "step", [](SolverType& self, ConstPositions reference) { return Positions(self.step(reference)); }, py::arg("reference"),
-          py::call_guard<py::gil_scoped_release>(), "Takes one frame; returns positions (n, 3), m.")
-      .def("state",
-           [](const SolverType& self) {
-             SolverState state = self.state();
-             return py::make_tuple(std::move(state.arrays), std::move(state.counters));
-           })
-      .def(
-          "restore",
-          [](SolverType& self, std::vector<Positions> arrays, std::vector<std::int64_t> counters) {
-            self.restore(SolverState{std::move(arrays), std::move(counters)});
-          },
-          py::arg("arrays"), py::arg("counters"));
-}
 
 using release = py::call_guard<py::gil_scoped_release>;
 
@@ -105,9 +81,7 @@ void bind_elastic(py::module_& m) {
       .def_readonly("linear_iterations", &StepReport::linear_iterations)
       .def_readonly("residual", &StepReport::residual);
 
-  py::class_<ImplicitEuler> implicit(m, "ImplicitEuler",
-                                     "Backward Euler finite elements. Use followthrough.elastic.ImplicitEuler.");
-  implicit
+  py::class_<ImplicitEuler, Solver>(m, "ImplicitEuler", "Backward Euler finite elements. Use followthrough.elastic.ImplicitEuler.")
       .def(py::init([](const ElasticBody& body, const std::string& material, ConstMask constrained, double dt,
                        const NewtonSettings& newton, const Eigen::Vector3d& gravity, double mass_damping, double stiffness_damping,
                        const Vector& pin_stiffness) {
@@ -117,11 +91,9 @@ void bind_elastic(py::module_& m) {
            py::arg("body"), py::arg("material"), py::arg("constrained"), py::arg("dt"), py::arg("newton"), py::arg("gravity"),
            py::arg("mass_damping"), py::arg("stiffness_damping"), py::arg("pin_stiffness"), release())
       .def_property_readonly("last_step", &ImplicitEuler::last_step);
-  bind_solver(implicit);
 
-  py::class_<CentralDifferences> central(m, "CentralDifferences",
-                                         "Explicit finite elements. Use followthrough.elastic.CentralDifferences.");
-  central
+  py::class_<CentralDifferences, Solver>(m, "CentralDifferences",
+                                         "Explicit finite elements. Use followthrough.elastic.CentralDifferences.")
       .def(py::init([](const ElasticBody& body, const std::string& material, ConstMask constrained, double dt, int substeps,
                        const Eigen::Vector3d& gravity, double mass_damping) {
              return std::make_unique<CentralDifferences>(body, material_named(material), constrained, dt, substeps, gravity,
@@ -131,7 +103,6 @@ void bind_elastic(py::module_& m) {
            py::arg("mass_damping"), release())
       .def_property_readonly("last_substeps", &CentralDifferences::last_substeps)
       .def("stable_step", &CentralDifferences::stable_step, py::arg("positions"), release());
-  bind_solver(central);
 }
 
 }  // namespace followthrough

@@ -18,9 +18,11 @@ PYBIND11_MODULE(_core, m) {
         omp_set_num_threads(threads);
       },
       pybind11::arg("threads"), "Sets how many threads the core works with. Results do not depend on it.");
+  followthrough::bind_solver(m);  // first: the solvers derive from it
   followthrough::bind_elastic(m);
   followthrough::bind_mesh(m);
   followthrough::bind_skinning(m);
-  followthrough::bind_motion(m);  // before the solvers: it binds their base
+  followthrough::bind_motion(m);
   followthrough::bind_springs(m);
+  followthrough::bind_emulator(m);
 }

@@ -63,16 +63,27 @@ class Surface:
         Vertices in the mesh's object space (the Basis shape).
     triangles : (t, 3) int32
     object_scale : (3, 3) float64
-        Symmetric stretch from object space to the world (the polar factor of the object's matrix), so that cells are cubes in
-        the world, in metres.
+        Symmetric stretch from object space to the world (the polar factor of the object's matrix, times the scale that all
+        bones share), so that cells are cubes in the world, in metres.
     rig : Rig or None
         None where something other than an armature moves the mesh; poses are then `SampledPose`.
+    character_size : float or None
+        Longest side at rest, metres in the world, of the character that this mesh is a part of (a jacket on a body); None:
+        of this mesh alone.
     """
 
     rest_positions: FloatArray
     triangles: IntArray
     object_scale: FloatArray = field(default_factory=lambda: np.eye(3))
     rig: Rig | None = None
+    character_size: float | None = None
+
+    @property
+    def size(self) -> float:
+        """`character_size`, or this mesh's own longest side: what lengths of the character are measured by, metres."""
+        if self.character_size is not None:
+            return self.character_size
+        return float(np.ptp(self.rest_positions @ self.object_scale.T, axis=0).max())
 
 
 @dataclass(frozen=True)
@@ -112,20 +123,17 @@ class BonePose:
 
 @dataclass(frozen=True)
 class SampledPose:
-    """One frame of a mesh that anything may move, sampled by three probes.
+    """One frame of a mesh that anything may move.
 
     Parameters
     ----------
     positions : (v, 3) float64
         Deformed vertices in object space.
-    jacobians : (v, 3, 3) float64
-        Derivative of a vertex's deformed position by its undeformed position.
     world : (4, 4) float64
         From the mesh's object space to the world.
     """
 
     positions: FloatArray
-    jacobians: FloatArray
     world: FloatArray
 
 
@@ -144,13 +152,17 @@ def distances_to_segments(points: FloatArray, segments: FloatArray) -> FloatArra
     -------
     (p,) float64, infinite where there is no segment.
     """
+    columns = np.ascontiguousarray(points.T)
     nearest = np.full(len(points), np.inf)
     for head, tail in segments:
         along = tail - head
         length_squared = float(along @ along)
-        t = np.clip((points - head) @ along / length_squared, 0.0, 1.0) if length_squared > 0 else np.zeros(len(points))
-        nearest = np.minimum(nearest, np.linalg.norm(points - head - t[:, None] * along, axis=1))
-    return nearest
+        away = columns - head[:, None]
+        if length_squared > 0:
+            away -= along[:, None] * np.clip((along / length_squared) @ away, 0.0, 1.0)
+        np.minimum(nearest, np.einsum("ij,ij->j", away, away), out=nearest)
+    distances: FloatArray = np.sqrt(nearest)
+    return distances
 
 
 def flesh_thickness(surface: Surface) -> float:

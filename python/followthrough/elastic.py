@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from followthrough import _core
+from followthrough import _core, array_checks
 from followthrough.character import FloatArray
+from followthrough.solver import Solver, SolverState
 
 if TYPE_CHECKING:
     from followthrough.sequences import Sequence
@@ -61,15 +62,15 @@ class ElasticBody:
         compression_resistance: float = 1e5,
         material: MaterialName = "invertible-stvk",
     ) -> None:
-        rest = _positions("rest_positions", rest_positions)
+        rest = array_checks.positions("rest_positions", rest_positions)
         if material not in MATERIALS:
             raise ValueError(f"material: found {material!r}, expected {' or '.join(map(repr, MATERIALS))}")
         self.material = material
         self._core = _core.ElasticBody(
             rest,
-            _tets(tets),
-            _per_vertex("youngs_modulus", youngs_modulus, len(rest)),
-            _per_vertex("density", density, len(rest)),
+            array_checks.tets("tets", tets),
+            array_checks.per_vertex("youngs_modulus", youngs_modulus, len(rest)),
+            array_checks.per_vertex("density", density, len(rest)),
             float(poisson_ratio),
             float(compression_resistance),
         )
@@ -111,11 +112,11 @@ class ElasticBody:
 
     def energy(self, positions: ArrayLike) -> float:
         """Elastic energy at positions (n, 3), J."""
-        return float(self._core.energy(_positions("positions", positions), self.material))
+        return float(self._core.energy(array_checks.positions("positions", positions), self.material))
 
     def internal_forces(self, positions: ArrayLike) -> FloatArray:
         """f of M a + f = 0 at positions (n, 3): the gradient of the energy, (n, 3) N."""
-        forces: FloatArray = self._core.internal_forces(_positions("positions", positions), self.material)
+        forces: FloatArray = self._core.internal_forces(array_checks.positions("positions", positions), self.material)
         return forces
 
     def stiffness_product(self, positions: ArrayLike, change: ArrayLike, semidefinite: bool = False) -> FloatArray:
@@ -124,13 +125,16 @@ class ElasticBody:
         With `semidefinite`, negative eigenvalues of every tet's stress derivative count as zero.
         """
         product: FloatArray = self._core.stiffness_product(
-            _positions("positions", positions), _positions("change", change), self.material, semidefinite
+            array_checks.positions("positions", positions),
+            array_checks.positions("change", change),
+            self.material,
+            semidefinite,
         )
         return product
 
     def mass_product(self, values: ArrayLike) -> FloatArray:
         """The consistent mass matrix times values (n, 3)."""
-        product: FloatArray = self._core.mass_product(_positions("values", values))
+        product: FloatArray = self._core.mass_product(array_checks.positions("values", values))
         return product
 
 
@@ -154,98 +158,26 @@ class StepReport:
     residual: float
 
 
-@dataclass(frozen=True)
-class ElasticState:
-    """What a solver of this module carries from frame to frame.
-
-    Attributes
-    ----------
-    arrays : tuple of (n, 3) float64
-        Positions; positions a frame before (`ImplicitEuler`, m) or velocities (`CentralDifferences`, m/s); reference.
-    frames : int
-        Frames since the reset, -1 before the first one.
-    """
-
-    arrays: tuple[FloatArray, FloatArray, FloatArray]
-    frames: int
-
-
-class _ElasticSolver:
+class _ElasticSolver(Solver):
     """What the solvers of this module have in common."""
-
-    _core: Any
-
-    @property
-    def vertex_count(self) -> int:
-        """Number of vertices, n."""
-        return int(self._core.vertex_count)
-
-    def reset(self, reference: ArrayLike) -> None:
-        """Start over on the reference (n, 3), m, at rest there.
-
-        Raises
-        ------
-        ValueError
-            On a wrong shape or non-finite numbers; the state is then unchanged.
-        """
-        self._core.reset(_positions("reference", reference))
-
-    def step(self, reference: ArrayLike, next_reference: ArrayLike | None = None) -> FloatArray:
-        """Take one frame.
-
-        Parameters
-        ----------
-        reference : (n, 3) float
-            Where the frame to reach has the vertices without secondary motion, m.
-        next_reference
-            Not used: these solvers do not look ahead.
-
-        Returns
-        -------
-        (n, 3) float64
-            Dynamic positions, m.
-
-        Raises
-        ------
-        ValueError
-            On a wrong shape or non-finite numbers, or before the first reset; the state is then unchanged.
-        """
-        positions: FloatArray = self._core.step(_positions("reference", reference))
-        return positions
 
     def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
         """Continue after frames (t + 1, n, 3) that are known, t 0 or more: their last ones become the state."""
         self.reset(reference[-1])
         before = dynamic[-2] if len(dynamic) > 1 else dynamic[-1]
-        positions = _positions("dynamic", dynamic[-1])
-        self._core.restore(
-            [positions, self._history(positions, _positions("dynamic", before)), reference[-1]], [len(dynamic) - 1]
-        )
+        history = self._history(dynamic[-1], before)
+        self.restore(SolverState((dynamic[-1], history, reference[-1]), len(dynamic) - 1))
 
     def _history(self, positions: FloatArray, before: FloatArray) -> FloatArray:
         """The state's second array."""
         raise NotImplementedError
-
-    def state(self) -> ElasticState:
-        """Everything carried from frame to frame; `restore` resumes from it bit for bit."""
-        (positions, before, reference), (frames,) = self._core.state()
-        return ElasticState((positions, before, reference), frames)
-
-    def restore(self, state: ElasticState) -> None:
-        """Go back to a state that `state` returned.
-
-        Raises
-        ------
-        ValueError
-            Where it is not a state of so many vertices.
-        """
-        self._core.restore(list(state.arrays), [state.frames])
 
 
 class ImplicitEuler(_ElasticSolver):
     """Backward Euler finite elements: constrained vertices follow the reference, the rest follows them.
 
     A step that does not converge within the quality's limits is reported by `last_step`; its positions are finite all the same.
+    The state's arrays are positions, positions a frame before, and the reference, m.
 
     Parameters
     ----------
@@ -259,6 +191,8 @@ class ImplicitEuler(_ElasticSolver):
         "preview" bounds the work of a frame, "fine" is as good as the eye can tell, "converged" is exact.
     tolerance
         Size of the residual at which a step has converged, relative to its inertial and its elastic part; None: the quality's.
+    most_iterations, most_linear_iterations
+        Of Newton's method in a step, and of conjugate gradients in one of those; None: the quality's.
     gravity
         m/s².
     mass_damping, stiffness_damping
@@ -280,6 +214,8 @@ class ImplicitEuler(_ElasticSolver):
         *,
         quality: Quality = "converged",
         tolerance: float | None = None,
+        most_iterations: int | None = None,
+        most_linear_iterations: int | None = None,
         gravity: ArrayLike = (0.0, 0.0, 0.0),
         mass_damping: float = 0.0,
         stiffness_damping: float = 0.0,
@@ -290,18 +226,27 @@ class ImplicitEuler(_ElasticSolver):
         newton = getattr(_core.NewtonSettings, quality)()
         if tolerance is not None:
             newton.tolerance = float(tolerance)
-        pins = np.zeros(0) if pin_stiffness is None else _per_vertex("pin_stiffness", pin_stiffness, body.vertex_count)
-        self._core = _core.ImplicitEuler(
+        if most_iterations is not None:
+            newton.most_iterations = int(most_iterations)
+        if most_linear_iterations is not None:
+            newton.most_linear_iterations = int(most_linear_iterations)
+        pins = (
+            np.zeros(0)
+            if pin_stiffness is None
+            else array_checks.per_vertex("pin_stiffness", pin_stiffness, body.vertex_count)
+        )
+        core = _core.ImplicitEuler(
             body._core,
             body.material,
-            _mask(constrained, body.vertex_count),
+            array_checks.mask("constrained", constrained, body.vertex_count),
             float(dt),
             newton,
-            _vector3("gravity", gravity),
+            array_checks.vector3("gravity", gravity),
             float(mass_damping),
             float(stiffness_damping),
             pins,
         )
+        super().__init__(core)
 
     def _history(self, positions: FloatArray, before: FloatArray) -> FloatArray:
         return before
@@ -315,6 +260,8 @@ class ImplicitEuler(_ElasticSolver):
 
 class CentralDifferences(_ElasticSolver):
     """The explicit baseline of [DE, eq. 2]: cheap steps with the lumped mass, of which a frame needs many.
+
+    The state's arrays are positions (m), velocities (m/s) and the reference (m).
 
     Parameters
     ----------
@@ -350,15 +297,16 @@ class CentralDifferences(_ElasticSolver):
         if substeps is not None and substeps < 1:
             raise ValueError(f"substeps: found {substeps}, expected 1 or more")
         self._dt = float(dt)
-        self._core = _core.CentralDifferences(
+        core = _core.CentralDifferences(
             body._core,
             body.material,
-            _mask(constrained, body.vertex_count),
+            array_checks.mask("constrained", constrained, body.vertex_count),
             float(dt),
             substeps or 0,
-            _vector3("gravity", gravity),
+            array_checks.vector3("gravity", gravity),
             float(mass_damping),
         )
+        super().__init__(core)
 
     def _history(self, positions: FloatArray, before: FloatArray) -> FloatArray:
         return (positions - before) / self._dt
@@ -370,48 +318,4 @@ class CentralDifferences(_ElasticSolver):
 
     def stable_step(self, positions: ArrayLike) -> float:
         """Longest stable step near positions (n, 3), s."""
-        return float(self._core.stable_step(_positions("positions", positions)))
-
-
-def _mask(values: ArrayLike, count: int) -> NDArray[np.bool_]:
-    mask: NDArray[np.bool_] = np.asarray(values)
-    if mask.shape != (count,) or mask.dtype != np.bool_:
-        raise ValueError(f"constrained: found shape {mask.shape} of {mask.dtype}, expected ({count},) of bool")
-    return mask
-
-
-def _vector3(name: str, values: ArrayLike) -> FloatArray:
-    vector = _numbers(name, values)
-    if vector.shape != (3,):
-        raise ValueError(f"{name}: found shape {vector.shape}, expected (3,)")
-    return vector
-
-
-def _positions(name: str, values: ArrayLike) -> FloatArray:
-    array = _numbers(name, values)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name}: found shape {array.shape}, expected (n, 3)")
-    return array
-
-
-def _per_vertex(name: str, values: ArrayLike, count: int) -> FloatArray:
-    array = _numbers(name, values)
-    if array.shape not in ((), (count,)):
-        raise ValueError(f"{name}: found shape {array.shape}, expected () or ({count},), one value a vertex")
-    return np.ascontiguousarray(np.broadcast_to(array, (count,)))
-
-
-def _tets(values: ArrayLike) -> NDArray[np.int32]:
-    array: NDArray[np.generic] = np.asarray(values)
-    if array.ndim != 2 or array.shape[1] != 4 or array.dtype.kind not in "iu":
-        raise ValueError(f"tets: found shape {array.shape} of {array.dtype}, expected (m, 4) integers")
-    if array.size and not np.can_cast(np.min_scalar_type(array.max()), np.int32):
-        raise ValueError(f"tets: found index {array.max()}, expected one of a vertex")
-    return np.ascontiguousarray(array, dtype=np.int32)
-
-
-def _numbers(name: str, values: ArrayLike) -> FloatArray:
-    array: NDArray[np.generic] = np.asarray(values)
-    if array.dtype.kind not in "fiu":
-        raise ValueError(f"{name}: found an array of {array.dtype}, expected real numbers")
-    return np.asarray(array, dtype=np.float64, order="C")
+        return float(self._core.stable_step(array_checks.positions("positions", positions)))

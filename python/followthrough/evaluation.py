@@ -6,8 +6,8 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Iterable
+from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,25 +15,7 @@ from numpy.typing import NDArray
 from followthrough.character import FloatArray
 from followthrough.elastic import ElasticBody
 from followthrough.sequences import Sequence
-
-
-class ResumableSolver(Protocol):
-    """A solver that can continue from frames that it has not computed."""
-
-    def reset(self, reference: FloatArray) -> None:
-        """Start over on the reference (n, 3), m."""
-
-    def step(self, reference: FloatArray, next_reference: FloatArray | None = None) -> FloatArray:
-        """Take one frame."""
-
-    def state(self) -> Any:
-        """Everything carried from frame to frame."""
-
-    def restore(self, state: Any) -> None:
-        """Go back to a state that `state` returned."""
-
-    def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
-        """Continue after frames (t + 1, n, 3) that are known."""
+from followthrough.solver import Solver
 
 
 @dataclass(frozen=True)
@@ -77,7 +59,7 @@ class Scores:
 
 def evaluate(
     sequence: Sequence,
-    solver: ResumableSolver,
+    solver: Solver,
     frames: Callable[[range], Iterable[int]] = lambda frames: frames,
 ) -> Scores:
     """Score a solver against a sequence's dynamic positions.
@@ -116,19 +98,19 @@ def evaluate(
             exploded = not np.isfinite(rollout[frame]).all()
         state = solver.state()
         solver.resume(truth[:frame], reference[:frame])
-        single[frame] = _mean_square(solver.step(reference[frame], ahead), truth[frame])
+        single[frame] = mean_square(solver.step(reference[frame], ahead), truth[frame])
         if not exploded:
             solver.restore(state)
-    errors = np.array([_mean_square(now, true) for now, true in zip(rollout[1:], truth[1:], strict=True)])
+    errors = np.array([mean_square(now, true) for now, true in zip(rollout[1:], truth[1:], strict=True)])
     free = int(np.count_nonzero(~sequence.constrained))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # inverted rest tets: the solver has said so
         body = ElasticBody.of_sequence(sequence)
     return Scores(
-        single_frame=_root_mean(single[1:]),
-        rollout_24=_root_mean(errors[:24]),
-        rollout_48=_root_mean(errors[:48]),
-        rollout_all=_root_mean(errors),
+        single_frame=root_mean(single[1:]),
+        rollout_24=root_mean(errors[:24]),
+        rollout_48=root_mean(errors[:48]),
+        rollout_all=root_mean(errors),
         predicted=_energies(body, rollout[1:]),
         truth=_energies(body, truth[1:]),
         ms_per_frame=1000 * seconds / max(int(np.isfinite(errors).sum()), 1),
@@ -138,15 +120,17 @@ def evaluate(
     )
 
 
-def _mean_square(positions: FloatArray, true: FloatArray) -> float:
+def mean_square(positions: FloatArray, true: FloatArray) -> float:
+    """Mean square error over vertices and axes; infinite where a position is not finite."""
     if not np.isfinite(positions).all():
         return float("inf")
     with np.errstate(over="ignore"):
         return float(np.mean((positions - true) ** 2))
 
 
-def _root_mean(squares: NDArray[np.float64]) -> float:
-    return float(np.sqrt(squares.mean()))
+def root_mean(squares: SequenceOf[float] | NDArray[np.float64]) -> float:
+    """Square root of the mean of mean square errors."""
+    return float(np.sqrt(np.mean(squares)))
 
 
 def _energies(body: ElasticBody, motion: FloatArray) -> EnergyStatistics:

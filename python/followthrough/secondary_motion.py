@@ -3,32 +3,22 @@
 
 from __future__ import annotations
 
+import concurrent.futures
+import contextlib
+import threading
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from followthrough import _core, skinning
+from followthrough import _core
 from followthrough.character import BonePose, FloatArray, Paint, Pose, Surface
+from followthrough.elastic import ImplicitEuler
+from followthrough.flesh import loose_vertices, make_flesh
 from followthrough.settings import Settings, SpringSettings
+from followthrough.solver import Solver
 from followthrough.springs import Springs
 from followthrough.volume import Volume, build_volume
-
-
-class Solver(Protocol):
-    """A dynamics method (`cpp/include/followthrough/solver.hpp`)."""
-
-    def reset(self, reference: FloatArray) -> None:
-        """Start over on the reference (n, 3), m."""
-
-    def step(self, reference: FloatArray, next_reference: FloatArray | None = None) -> FloatArray:
-        """Take one frame to the reference (n, 3), m, and return the dynamic positions (n, 3), m."""
-
-    def state(self) -> Any:
-        """Everything carried from frame to frame."""
-
-    def restore(self, state: Any) -> None:
-        """Go back to a state that `state` returned."""
 
 
 @dataclass(frozen=True)
@@ -37,20 +27,38 @@ class Frame:
 
     Attributes
     ----------
-    offsets : (v, 3) float64
+    offsets : (v, 3) float64 or None
         What to add to the mesh's rest vertices, in its object space, so that the rig moves them to where the motion wants them.
+        None where something else than a rig moves the mesh: whoever can evaluate it finds them (`followthrough.offset_search`).
     displacements : (v, 3) float64
         The secondary motion itself, in the world, metres.
     largest_displacement : float
         Metres.
     largest_residual : float
-        Largest part of a displacement that no offset can reach because the rig flattens the skin there, metres.
+        Largest part of a displacement that no offset can reach because the rig flattens the skin there, metres; 0 where the
+        offsets are not found here.
+    converged : bool
+        False where the solver could not take the step as exactly as its quality asks for.
     """
 
-    offsets: FloatArray
+    offsets: FloatArray | None
     displacements: FloatArray
     largest_displacement: float
     largest_residual: float
+    converged: bool = True
+
+
+def make_solver(volume: Volume, settings: Settings, dt: float) -> Solver:
+    """The solver that the settings ask for, on the volume's vertices, with painted constants.
+
+    Raises
+    ------
+    ValueError
+        Where it cannot be made for this volume.
+    """
+    if settings.solver == "implicit-euler":
+        return make_flesh(volume, settings.simulation, dt)
+    return make_springs(volume, settings.springs, dt)
 
 
 def make_springs(volume: Volume, settings: SpringSettings, dt: float) -> Springs:
@@ -77,11 +85,12 @@ def make_springs(volume: Volume, settings: SpringSettings, dt: float) -> Springs
 class RiggedMotion:
     """The frames of a character that bones move, in one native pass (`cpp/include/followthrough/motion`)."""
 
-    def __init__(self, volume: Volume, solver: Springs, minimum_stretch: float) -> None:
+    def __init__(self, volume: Volume, solver: Solver, minimum_stretch: float) -> None:
         rig = volume.surface.rig
         if rig is None or volume.bone_indices is None or volume.bone_weights is None:
             raise ValueError("volume: found none of a rigged character, expected one that was made with a rig")
         self._bone_count = len(rig.bone_segments)
+        self._solver = solver
         rest_matrices = np.zeros((0, 16)) if rig.bone_rest_matrices is None else _matrices(rig.bone_rest_matrices)
         self._core = _core.RiggedMotion(
             volume.rest_positions,
@@ -96,6 +105,8 @@ class RiggedMotion:
             rig.skinning == "dual-quaternion",
             minimum_stretch,
             solver.core,
+            # Springs leave the other cores to Blender, which works on the next pose meanwhile.
+            0 if isinstance(solver, ImplicitEuler) else 1,
         )
 
     def reset(self, pose: Pose) -> None:
@@ -104,15 +115,31 @@ class RiggedMotion:
 
     def step(self, pose: Pose, next_pose: Pose | None) -> Frame:
         """Take one frame."""
-        return Frame(*self._core.step(self._pose(pose), None if next_pose is None else self._pose(next_pose)))
+        return self._frame(self._core.step(self._pose(pose), None if next_pose is None else self._pose(next_pose)))
+
+    def reference(self, pose: Pose) -> FloatArray:
+        """Where the rig alone puts the volume's vertices, (n, 3) in the world, metres: what the solver is given."""
+        reference: FloatArray = self._core.reference(self._pose(pose))
+        return reference
 
     def begin(self, pose: Pose, next_pose: Pose | None) -> None:
         """Start a frame on the core's own thread."""
         self._core.begin(self._pose(pose), None if next_pose is None else self._pose(next_pose))
 
+    def wait(self, seconds: float) -> bool:
+        """Wait for it, so long at most; whether `finish` would no longer wait."""
+        done: bool = self._core.wait(seconds)
+        return done
+
     def finish(self) -> Frame:
         """Wait for it."""
-        return Frame(*self._core.finish())
+        return self._frame(self._core.finish())
+
+    def _frame(self, result: tuple[FloatArray, FloatArray, float, float]) -> Frame:
+        offsets, displacements, largest_displacement, largest_residual = result
+        return Frame(
+            offsets, displacements, largest_displacement, largest_residual, converged=_has_converged(self._solver)
+        )
 
     def _pose(self, pose: Pose) -> Any:
         if not isinstance(pose, BonePose):
@@ -123,6 +150,10 @@ class RiggedMotion:
             )
         armature = np.eye(4) if pose.armature is None else pose.armature
         return _core.RigPose(_matrices(pose.bone_matrices), armature, pose.world)
+
+
+def _has_converged(solver: Solver) -> bool:
+    return not isinstance(solver, ImplicitEuler) or solver.last_step.converged
 
 
 def _matrices(matrices: FloatArray) -> FloatArray:
@@ -137,9 +168,14 @@ class SecondaryMotion:
     surface, paint
         The character.
     settings
-        Volume and springs.
+        Volume and solver.
     dt
         Seconds a frame.
+
+    Raises
+    ------
+    ValueError
+        Where the arrays do not fit each other, or the solver cannot be made for them.
     """
 
     def __init__(self, surface: Surface, paint: Paint, settings: Settings, dt: float) -> None:
@@ -147,10 +183,20 @@ class SecondaryMotion:
             raise ValueError(f"dt: found {dt:g}, expected a positive number of seconds")
         self.settings = settings
         self.volume = build_volume(surface, paint, settings.volume)
-        self.solver = make_springs(self.volume, settings.springs, dt)
+        self.solver = make_solver(self.volume, settings, dt)
         self._rigged = None if surface.rig is None else RiggedMotion(self.volume, self.solver, settings.minimum_stretch)
         self._ahead: tuple[Pose, FloatArray] | None = None
-        self._begun: Frame | None = None
+        self._threads: concurrent.futures.ThreadPoolExecutor | None = None
+        self._begun: concurrent.futures.Future[Frame] | None = None
+        self._under_way = False
+
+    @property
+    def loose_vertex_count(self) -> int:
+        """Vertices of the surface in parts that no pin holds, where the solver needs one: they follow the reference."""
+        if self.settings.solver == "springs":
+            return 0
+        tet_mesh = self.volume.tet_mesh
+        return int(loose_vertices(self.volume)[tet_mesh.tets[tet_mesh.embedding_tets, 0]].sum())
 
     def reset(self, pose: Pose) -> Frame:
         """Start over in this pose, without secondary motion."""
@@ -160,7 +206,8 @@ class SecondaryMotion:
             self._ahead = None
             self.solver.reset(self.volume.reference(pose))
         nothing = np.zeros_like(self.volume.surface.rest_positions)
-        return Frame(offsets=nothing, displacements=nothing, largest_displacement=0.0, largest_residual=0.0)
+        offsets = nothing if self._rigged is not None else None
+        return Frame(offsets=offsets, displacements=nothing, largest_displacement=0.0, largest_residual=0.0)
 
     def step(self, pose: Pose, next_pose: Pose | None = None) -> Frame:
         """Take one frame to this pose; `next_pose`, where it is known, makes the target's motion smooth at this frame.
@@ -175,20 +222,45 @@ class SecondaryMotion:
         return self._sampled_step(pose, next_pose)
 
     def begin(self, pose: Pose, next_pose: Pose | None = None) -> None:
-        """Start `step`, for a rigged character on a thread of its own, while the caller reads the next pose."""
+        """Start `step` on a thread of its own, while the caller reads the next pose. `finish` or `abandon` must follow."""
         if self._rigged is not None:
             self._rigged.begin(pose, next_pose)
         else:
-            self._begun = self._sampled_step(pose, next_pose)
+            if self._threads is None:
+                self._threads = concurrent.futures.ThreadPoolExecutor(max_workers=1)
+            self._begun = self._threads.submit(self._sampled_step, pose, next_pose)
+        self._under_way = True
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for the frame under way, so long at most; whether `finish` would no longer wait."""
+        if self._rigged is not None:
+            return self._rigged.wait(seconds)
+        return self._begun is None or bool(concurrent.futures.wait([self._begun], seconds).done)
 
     def finish(self) -> Frame:
         """Wait for what `begin` started: the same frame, to the bit, that `step` returns."""
+        if not self._under_way:
+            raise ValueError("pose: found no frame under way, expected begin to be called first")
+        self._under_way = False
+        return self._collect()
+
+    def abandon(self) -> None:
+        """Leave a frame under way to itself, if there is one: nothing waits for its end, and nobody sees it."""
+        if self._under_way:
+            self._under_way = False
+            # The thread keeps all that the frame needs for as long as it needs it.
+            threading.Thread(target=self._collect_in_vain).start()
+
+    def _collect(self) -> Frame:
         if self._rigged is not None:
             return self._rigged.finish()
-        if self._begun is None:
-            raise ValueError("pose: found no frame under way, expected begin to be called first")
-        frame, self._begun = self._begun, None
-        return frame
+        assert self._begun is not None
+        begun, self._begun = self._begun, None
+        return begun.result()
+
+    def _collect_in_vain(self) -> None:
+        with contextlib.suppress(ValueError):
+            self._collect()
 
     def _sampled_step(self, pose: Pose, next_pose: Pose | None) -> Frame:
         if isinstance(pose, BonePose):
@@ -198,10 +270,7 @@ class SecondaryMotion:
         self._ahead = None if next_pose is None else (next_pose, self.volume.reference(next_pose))
         dynamic = self.solver.step(reference, None if self._ahead is None else self._ahead[1])
         displacements = self.volume.surface_displacements(dynamic, reference)
-        to_world = pose.world[:3, :3]
-        local = displacements @ np.linalg.inv(to_world).T
-        offsets, residuals = skinning.invert_displacements(pose.jacobians, local, self.settings.minimum_stretch)
-        return Frame(offsets, displacements, _longest(displacements), _longest(residuals @ to_world.T))
+        return Frame(None, displacements, _longest(displacements), 0.0, _has_converged(self.solver))
 
 
 def _longest(vectors: FloatArray) -> float:

@@ -17,7 +17,7 @@ from followthrough.sequences import Sequence
 from followthrough.settings import SpringSettings
 
 if TYPE_CHECKING:
-    from followthrough.secondary_motion import Solver
+    from followthrough.solver import Solver
 
 
 #: Spring stiffness where none is given, 1/s²: the middle of the range that artists paint, on its logarithmic scale.

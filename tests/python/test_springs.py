@@ -240,7 +240,7 @@ def test_results_do_not_depend_on_threads_or_instruction_sets() -> None:
         "import hashlib, numpy as np\n"
         "from followthrough.springs import Springs\n"
         "rng = np.random.default_rng(0)\n"
-        "n = 70001\n"
+        "n = 200001\n"
         "springs = Springs(rng.uniform(0, 1e4, n), rng.uniform(0, 100, n), 1 / 24, rng.random(n) < 0.1)\n"
         "motion = rng.normal(size=(4, n, 3))\n"
         "springs.reset(motion[0])\n"

@@ -7,6 +7,7 @@
 #include "followthrough/errors.hpp"
 #include "tet_weights.hpp"
 #include "triangle_tree.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -49,7 +50,7 @@ Embedding embed(ConstPositions points, ConstPositions vertices, ConstTets tets) 
   Embedding embedding;
   embedding.tets.resize(points.rows());
   embedding.weights.resize(points.rows(), 4);
-#pragma omp parallel for schedule(dynamic, 256)
+#pragma omp parallel for schedule(dynamic, 256) num_threads(worthwhile_threads(points.rows(), 600))
   for (Eigen::Index p = 0; p < points.rows(); ++p) {
     const Eigen::Vector3d point = points.row(p);
     const Eigen::Vector3d margin = Eigen::Vector3d::Constant(1e-12 * size);
@@ -75,7 +76,7 @@ Values interpolate(ConstValues values, ConstTets tets, ConstIndices embedding_te
   require_indices("embedding_tets", embedding_tets, tets.rows());
   require_rows("embedding_weights", embedding_weights.rows(), embedding_tets.rows());
   Values result(embedding_tets.rows(), values.cols());
-#pragma omp parallel for schedule(static)
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(result.size(), 4))
   for (Eigen::Index p = 0; p < embedding_tets.rows(); ++p) {
     const auto tet = tets.row(embedding_tets[p]);
     result.row(p) = embedding_weights(p, 0) * values.row(tet[0]) + embedding_weights(p, 1) * values.row(tet[1]) +

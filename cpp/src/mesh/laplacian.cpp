@@ -4,14 +4,17 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 #include <stdexcept>
 #include <vector>
 
 #include <Eigen/Dense>
 #include <Eigen/Sparse>
 
+#include "bucket_sort.hpp"
 #include "disjoint_sets.hpp"
 #include "tet_weights.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -114,7 +117,8 @@ const Mask& LaplaceSolver::given() const noexcept { return state_->given; }
 
 void LaplaceSolver::solve(Values& values) const {
   if (state_->free.empty()) return;
-#pragma omp parallel for schedule(static)
+  const double column_cost = 4.0 * static_cast<double>(state_->factor.matrixL().nestedExpression().nonZeros());  // ns
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(values.cols(), column_cost))
   for (Eigen::Index column = 0; column < values.cols(); ++column) {
     Vector known = values.col(column);
     const Vector solution = state_->factor.solve(state_->to_given * known);
@@ -138,7 +142,9 @@ Mask boundary_vertices(ConstTets tets, Eigen::Index vertex_count) {
       faces.push_back(face);
     }
   }
-  std::sort(faces.begin(), faces.end());
+  faces = bucket_sorted(
+      faces, static_cast<std::size_t>(vertex_count), [](const std::array<Index, 3>& face) { return face[0]; },
+      std::less<std::array<Index, 3>>());
   for (std::size_t first = 0, last = 0; first < faces.size(); first = last) {
     while (last < faces.size() && faces[last] == faces[first]) ++last;
     if (last - first != 1) continue;

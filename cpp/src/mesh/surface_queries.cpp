@@ -6,6 +6,7 @@
 
 #include "followthrough/errors.hpp"
 #include "triangle_tree.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -26,7 +27,7 @@ ClosestPoints closest_points(ConstPositions points, ConstPositions vertices, Con
   result.triangles.resize(points.rows());
   result.barycentric.resize(points.rows(), 3);
   result.distances.resize(points.rows());
-#pragma omp parallel for schedule(dynamic, 256)
+#pragma omp parallel for schedule(dynamic, 256) num_threads(worthwhile_threads(points.rows(), 1'000))
   for (Eigen::Index p = 0; p < points.rows(); ++p) {
     const ClosestPoint closest = tree.closest(points.row(p));
     result.triangles[p] = closest.triangle;
@@ -40,7 +41,7 @@ Vector winding_numbers(ConstPositions points, ConstPositions vertices, ConstTria
   require_surface(points, vertices, triangles);
   const TriangleTree tree(vertices, triangles);
   Vector result(points.rows());
-#pragma omp parallel for schedule(dynamic, 16)
+#pragma omp parallel for schedule(dynamic, 16) num_threads(worthwhile_threads(points.rows() * triangles.rows(), 40))
   for (Eigen::Index p = 0; p < points.rows(); ++p) {
     result[p] = tree.winding_number(points.row(p), std::numeric_limits<double>::infinity());
   }

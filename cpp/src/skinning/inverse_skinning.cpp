@@ -7,6 +7,7 @@
 #include "followthrough/errors.hpp"
 #include "skinning/bone_blend.hpp"
 #include "skinning/stretch_solve.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -40,7 +41,8 @@ InverseSkinning invert_displacements(ConstMatrices3 jacobians, ConstPositions di
   require_rows("jacobians", jacobians.rows(), displacements.rows());
   InverseSkinning result = make_result(displacements.rows());
   int unusable = 0;
-#pragma omp parallel for schedule(static) reduction(| : unusable)
+  const int threads = worthwhile_threads(displacements.rows(), stretch_solve_nanoseconds);
+#pragma omp parallel for schedule(static) reduction(| : unusable) num_threads(threads)
   for (Eigen::Index vertex = 0; vertex < displacements.rows(); ++vertex) {
     const Matrix3d jacobian = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(jacobians.row(vertex).data());
     unusable |= !solve_vertex(jacobian, vertex, displacements, minimum_stretch, result);
@@ -60,7 +62,8 @@ InverseSkinning inverse_skin(const BoneWeights& weights, const PosedBones& bones
   require_rows("displacements", displacements.rows(), blend.vertex_count());
   InverseSkinning result = make_result(displacements.rows());
   int unusable = 0;
-#pragma omp parallel for schedule(static) reduction(| : unusable)
+  const int threads = worthwhile_threads(displacements.rows(), blend.nanoseconds() + stretch_solve_nanoseconds);
+#pragma omp parallel for schedule(static) reduction(| : unusable) num_threads(threads)
   for (Eigen::Index vertex = 0; vertex < displacements.rows(); ++vertex) {
     bool valid = true;
     const VertexTransform transform = blend.vertex_transform(vertex, valid);

@@ -3,6 +3,7 @@
 
 #include "followthrough/errors.hpp"
 #include "skinning/bone_blend.hpp"
+#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 
@@ -11,7 +12,8 @@ Positions pose_vertices(ConstPositions rest_positions, const BoneWeights& weight
   require_rows("bone_weights", blend.vertex_count(), rest_positions.rows());
   Positions posed(rest_positions.rows(), 3);
   int unusable = 0;
-#pragma omp parallel for schedule(static) reduction(| : unusable)
+  const int threads = worthwhile_threads(posed.rows(), blend.nanoseconds());
+#pragma omp parallel for schedule(static) reduction(| : unusable) num_threads(threads)
   for (Eigen::Index vertex = 0; vertex < rest_positions.rows(); ++vertex) {
     bool valid = true;
     const VertexTransform transform = blend.vertex_transform(vertex, valid);
@@ -31,7 +33,8 @@ Matrices3 skinning_jacobians(Eigen::Index vertex_count, const BoneWeights& weigh
   require_rows("bone_weights", blend.vertex_count(), vertex_count);
   Matrices3 jacobians(vertex_count, 9);
   int unusable = 0;
-#pragma omp parallel for schedule(static) reduction(| : unusable)
+  const int threads = worthwhile_threads(vertex_count, blend.nanoseconds());
+#pragma omp parallel for schedule(static) reduction(| : unusable) num_threads(threads)
   for (Eigen::Index vertex = 0; vertex < vertex_count; ++vertex) {
     bool valid = true;
     Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(jacobians.row(vertex).data()) =

@@ -13,7 +13,8 @@ The command line and the add-on both drive this::
 Messages of `NotBakeableError` and of every other `ValueError` are meant for the artist.
 """
 
-from followthrough.blender.bake import Bake, BakeReport, FrameRange, ObjectReport, ObjectSettings, Progress
+from followthrough.blender.bake import Bake, FrameRange, ObjectSettings, Progress
+from followthrough.blender.bake_report import BakeReport, ObjectReport
 from followthrough.blender.groups import (
     MASS_GROUP,
     PINS_GROUP,
@@ -22,6 +23,7 @@ from followthrough.blender.groups import (
     PinGroup,
     add_groups,
     read_paint,
+    remove_groups,
     write_group,
 )
 from followthrough.blender.rig_reading import read_surface
@@ -46,6 +48,7 @@ __all__ = [
     "clear",
     "read_paint",
     "read_surface",
+    "remove_groups",
     "skinned_meshes",
     "why_not_bakeable",
     "write_group",

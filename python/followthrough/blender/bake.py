@@ -13,17 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from followthrough.blender import modes, shape_keys
+from followthrough.blender.bake_report import BakeReport, ObjectReport
 from followthrough.blender.groups import PaintGroups, read_paint
+from followthrough.blender.probes import OffsetFinder
 from followthrough.blender.rig_reading import PoseReader, make_reader, read_surface
 from followthrough.blender.scene import NotBakeableError, require_bakeable
-from followthrough.character import BonePose, Pose
+from followthrough.character import BonePose, Pose, Surface
 from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings
 
 
 @dataclass(frozen=True)
 class ObjectSettings:
-    """How one object is baked: volume and springs, and which vertex groups are read."""
+    """How one object is baked: volume and solver, and which vertex groups are read."""
 
     motion: Settings = field(default_factory=Settings)
     groups: PaintGroups = field(default_factory=PaintGroups)
@@ -57,45 +59,11 @@ class FrameRange:
 
 @dataclass(frozen=True)
 class Progress:
-    """After one step: `done` of `total` frames are simulated, the last of them `frame`."""
+    """After one step: `done` of `total` frames are simulated or under way, the last of them `frame`."""
 
     done: int
     total: int
     frame: int
-
-
-@dataclass(frozen=True)
-class ObjectReport:
-    """What was baked on one object.
-
-    Attributes
-    ----------
-    frames, vertices, tets : int
-    largest_displacement : float
-        Of all vertices and frames, metres in the world.
-    largest_residual : float
-        Largest part of a displacement that no shape key can show because the rig flattens the skin there, metres.
-    sampled : bool
-        True where something other than a plain Armature modifier moves the mesh, and it was sampled by probes.
-    """
-
-    name: str
-    frames: int
-    vertices: int
-    tets: int
-    largest_displacement: float
-    largest_residual: float
-    sampled: bool
-
-
-@dataclass(frozen=True)
-class BakeReport:
-    """What was baked, and how long it took, from the making of the volumes to the last key."""
-
-    objects: tuple[ObjectReport, ...]
-    start: int
-    end: int
-    seconds: float
 
 
 @dataclass
@@ -105,9 +73,13 @@ class _Character:
     name: str
     motion: SecondaryMotion
     reader: PoseReader
+    finder: OffsetFinder | None
+    #: One a keyed frame; until a finder has found the offset, the displacement in the world.
     offsets: NDArray[np.float32]
     largest_displacement: float = 0.0
     largest_residual: float = 0.0
+    evaluations: int = 0
+    unconverged: set[int] = field(default_factory=set)
 
 
 class Bake:
@@ -155,6 +127,7 @@ class Bake:
         self._restore: list[Callable[[], None]] = []
         self._modes: dict[str, str] = {}
         self._complete = self._closed = False
+        self._characters: list[_Character] = []
         try:
             self._prepare(scene, objects, frames)
         except BaseException:
@@ -163,13 +136,20 @@ class Bake:
 
     @property
     def total(self) -> int:
-        """Number of frames to simulate, pre-roll and cycles included."""
-        return len(self._schedule)
+        """Number of steps: frames to simulate, pre-roll and cycles included, and frames whose offsets are searched."""
+        searched = self.end - self.start + 1 if self._searched else 0
+        return len(self._schedule) + searched
 
-    def run(self) -> Iterator[Progress]:
-        """Simulate, one frame a step. Leaving the loop early cancels.
+    def run(self, patience: float | None = None) -> Iterator[Progress]:
+        """Simulate, one frame a step, and then search offsets where bones do not tell them. Leaving the loop early cancels.
 
         While the core simulates a frame on a thread of its own, Blender already evaluates the next one in this thread.
+
+        Parameters
+        ----------
+        patience
+            Where a frame takes longer than so many seconds, the same progress comes again, so that the caller can look
+            after other things. None: every frame comes once.
 
         Raises
         ------
@@ -180,7 +160,8 @@ class Bake:
         if self._closed or self._complete:
             raise RuntimeError("run: this bake has already been run")
         try:
-            yield from self._steps()
+            yield from self._steps(patience)
+            yield from self._searches()
         finally:
             if not self._complete:
                 self.cancel()
@@ -218,6 +199,8 @@ class Bake:
         if self._closed:
             return
         self._closed = True
+        for character in self._characters:
+            character.motion.abandon()
         self._put_back()
         modes.enter_modes(self._modes)
         self._back_to_frame()
@@ -231,14 +214,24 @@ class Bake:
             if deformation.armature is None:
                 self._switch_off(obj, deformation.behind)
         scene.frame_set(self.start)
-        self._characters = []
         for name, settings in objects.items():
             obj = bpy.data.objects[name]
             surface = read_surface(obj)
-            motion = SecondaryMotion(surface, read_paint(obj, surface, settings.groups), settings.motion, self._dt)
+            paint = read_paint(obj, surface, settings.groups)
+            with _told_apart(f"Object '{name}'"):
+                motion = SecondaryMotion(surface, paint, settings.motion, self._dt)
             offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
-            self._characters.append(_Character(name, motion, make_reader(obj, deformations[name], surface), offsets))
+            finder = self._make_finder(obj, surface, settings.motion.minimum_stretch) if surface.rig is None else None
+            reader = make_reader(obj, deformations[name], surface)
+            self._characters.append(_Character(name, motion, reader, finder, offsets))
+        self._searched = [character for character in self._characters if character.finder is not None]
         self._schedule = self._make_schedule(frames)
+
+    def _make_finder(self, obj: bpy.types.Object, surface: Surface, minimum_stretch: float) -> OffsetFinder:
+        finder = OffsetFinder(obj.name, surface.rest_positions, minimum_stretch)
+        self._restore.append(finder.remove)
+        finder.require_effect(self._view_layer())
+        return finder
 
     def _make_schedule(self, frames: FrameRange) -> list[tuple[int, bool]]:
         """Frames to simulate, and whether they are keyed; the frame that follows the last one of a loop is `_after`."""
@@ -252,58 +245,96 @@ class Bake:
             self._after = self.start + int(closed)
         return schedule + [(frame, True) for frame in range(self.start, self.end + 1)]
 
-    def _steps(self) -> Iterator[Progress]:
+    def _steps(self, patience: float | None) -> Iterator[Progress]:
         following = [frame for frame, _ in self._schedule[1:]] + [self._after]
         poses: list[Pose] = self._read(self._schedule[0][0])
         for character, pose in zip(self._characters, poses, strict=True):
-            with _told_apart(character.name, self._schedule[0][0]):
+            with _told_apart(f"Object '{character.name}', frame {self._schedule[0][0]}"):
                 character.motion.reset(pose)
-        under_way = False
-        for done, ((frame, keyed), next_frame) in enumerate(zip(self._schedule, following, strict=True)):
+        under_way: Progress | None = None
+        for done, ((frame, _), next_frame) in enumerate(zip(self._schedule, following, strict=True)):
             next_poses = None if next_frame is None else self._read(next_frame)
-            if under_way:
+            if under_way is not None:
+                yield from self._wait(under_way, patience)
                 self._collect(*self._schedule[done - 1])
+            progress = Progress(done=done + 1, total=self.total, frame=frame)
             if done:
                 self._begin(frame, poses, next_poses)
-                under_way = True
+                under_way = progress
             if next_poses is not None:
                 poses = next_poses
-            if done + 1 == self.total:
-                if under_way:
-                    self._collect(frame, keyed)
-                self._complete = True
-            yield Progress(done=done + 1, total=self.total, frame=frame)
+            if done + 1 < len(self._schedule):
+                yield progress
+        if under_way is not None:
+            yield from self._wait(under_way, patience)
+            self._collect(*self._schedule[-1])
+        self._complete = not self._searched
+        yield progress
+
+    def _wait(self, under_way: Progress, patience: float | None) -> Iterator[Progress]:
+        if patience is not None:
+            for character in self._characters:
+                while not character.motion.wait(patience):
+                    yield under_way
+
+    def _searches(self) -> Iterator[Progress]:
+        """Turn the displacements of what bones alone do not move into offsets, frame by frame."""
+        for done, frame in enumerate(
+            range(self.start, self.end + 1) if self._searched else (), len(self._schedule) + 1
+        ):
+            self._scene_in(frame)
+            for character in self._searched:
+                with _told_apart(f"Object '{character.name}', frame {frame}"):
+                    self._search(character, frame)
+            self._complete = frame == self.end
+            yield Progress(done=done, total=self.total, frame=frame)
+
+    def _search(self, character: _Character, frame: int) -> None:
+        assert character.finder is not None
+        view_layer = self._view_layer()
+        to_world = character.reader.read(view_layer).world[:3, :3]
+        displacements = character.offsets[frame - self.start].astype(np.float64)
+        found = character.finder.find(view_layer, displacements @ np.linalg.inv(to_world).T)
+        character.offsets[frame - self.start] = found.offsets
+        residuals = np.linalg.norm(found.residuals @ to_world.T, axis=1)
+        character.largest_residual = max(character.largest_residual, float(residuals.max()))
+        character.evaluations += found.evaluations
 
     def _begin(self, frame: int, poses: list[Pose], following: list[Pose] | None) -> None:
         """Start a frame of all objects; the core works on it while Blender evaluates the next one here."""
         for index, character in enumerate(self._characters):
-            with _told_apart(character.name, frame):
+            with _told_apart(f"Object '{character.name}', frame {frame}"):
                 character.motion.begin(poses[index], None if following is None else following[index])
 
     def _collect(self, frame: int, keyed: bool) -> None:
         for character in self._characters:
-            with _told_apart(character.name, frame):
+            with _told_apart(f"Object '{character.name}', frame {frame}"):
                 result = character.motion.finish()
                 with np.errstate(over="ignore"):  # told below
-                    offsets = result.offsets.astype(np.float32)
+                    offsets = (result.displacements if result.offsets is None else result.offsets).astype(np.float32)
                 if not np.isfinite(offsets).all():
                     raise ValueError("the motion is no longer finite")
+            if not result.converged and character.motion.settings.simulation.quality != "preview":
+                character.unconverged.add(frame)
             if keyed:
                 character.offsets[frame - self.start] = offsets
                 character.largest_displacement = max(character.largest_displacement, result.largest_displacement)
                 character.largest_residual = max(character.largest_residual, result.largest_residual)
 
     def _read(self, frame: int) -> list[Pose]:
-        scene = bpy.data.scenes.get(self._scene)
-        if scene is None:
-            raise NotBakeableError(f"Scene '{self._scene}' is no longer there")
-        scene.frame_set(frame)
+        self._scene_in(frame)
         view_layer = self._view_layer()
         poses = [character.reader.read(view_layer) for character in self._characters]
         for character, pose in zip(self._characters, poses, strict=True):
             if not _is_finite(pose):
                 raise ValueError(f"Object '{character.name}', frame {frame}: the pose is not finite (NaN or infinity)")
         return poses
+
+    def _scene_in(self, frame: int) -> None:
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is None:
+            raise NotBakeableError(f"Scene '{self._scene}' is no longer there")
+        scene.frame_set(frame)
 
     def _view_layer(self) -> bpy.types.ViewLayer:
         scene = bpy.data.scenes[self._scene]
@@ -358,17 +389,19 @@ class Bake:
             tets=len(volume.tet_mesh.tets),
             largest_displacement=character.largest_displacement,
             largest_residual=character.largest_residual,
-            sampled=volume.surface.rig is None,
+            evaluations_per_frame=character.evaluations / len(character.offsets),
+            loose_vertices=character.motion.loose_vertex_count,
+            unconverged=tuple(sorted(character.unconverged)),
         )
 
 
 @contextmanager
-def _told_apart(name: str, frame: int) -> Iterator[None]:
-    """Name object and frame in what goes wrong."""
+def _told_apart(place: str) -> Iterator[None]:
+    """Say where it is that something goes wrong."""
     try:
         yield
     except ValueError as problem:
-        raise ValueError(f"Object '{name}', frame {frame}: {problem}") from problem
+        raise ValueError(f"{place}: {problem}") from problem
 
 
 def _require_visible(name: str, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
@@ -380,8 +413,8 @@ def _require_visible(name: str, scene: bpy.types.Scene, view_layer: bpy.types.Vi
 
 
 def _is_finite(pose: Pose) -> bool:
-    arrays = (pose.bone_matrices,) if isinstance(pose, BonePose) else (pose.positions, pose.jacobians)
-    return all(bool(np.isfinite(array).all()) for array in (*arrays, pose.world))
+    local = pose.bone_matrices if isinstance(pose, BonePose) else pose.positions
+    return bool(np.isfinite(local).all() and np.isfinite(pose.world).all())
 
 
 def _same_pose(first: Pose, last: Pose) -> bool:

@@ -3,8 +3,10 @@
 #include <omp.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <memory>
+#include <thread>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -12,6 +14,7 @@
 #include <Eigen/LU>
 
 #include "followthrough/errors.hpp"
+#include "followthrough/mesh/embedding.hpp"
 #include "followthrough/mesh/tetrahedralize.hpp"
 #include "followthrough/motion/rigged_motion.hpp"
 #include "followthrough/skinning/inverse_skinning.hpp"
@@ -40,6 +43,14 @@ struct Box {
     character.tets = volume.tets;
     character.embedding = {volume.embedding_tets, volume.embedding_weights};
     std::tie(character.volume_bones, character.volume_weights) = weights_of(volume.vertices);
+    std::tie(character.surface_bones, character.surface_weights) = weights_of(vertices);
+  }
+
+  /// Another skin: points all over the box, so many that threads share the work.
+  void take_skin_of(Eigen::Index points) {
+    vertices =
+        (Positions::Random(points, 3) * Eigen::Vector3d(0.5, 0.5, 1.5).asDiagonal()).rowwise() + Eigen::RowVector3d(0.5, 0.5, 1.5);
+    character.embedding = embed(vertices, volume.vertices, volume.tets);
     std::tie(character.surface_bones, character.surface_weights) = weights_of(vertices);
   }
 
@@ -114,7 +125,8 @@ TEST_CASE("a frame is reference, solver, embedding and inverse skinning, one aft
 }
 
 TEST_CASE("a frame on a thread of its own is the same frame, to the bit, whatever the number of threads") {
-  const Box box;
+  Box box;
+  box.take_skin_of(40'000);
   std::vector<Positions> results[2];
   const int threads = omp_get_max_threads();
   for (const bool beside : {false, true}) {
@@ -135,6 +147,46 @@ TEST_CASE("a frame on a thread of its own is the same frame, to the bit, whateve
   omp_set_num_threads(threads);
   REQUIRE(results[0].size() == results[1].size());
   for (std::size_t i = 0; i < results[0].size(); ++i) CHECK(results[0][i] == results[1][i]);
+}
+
+namespace {
+
+/// Takes its time, on as many threads as it may.
+class SlowSolver final : public Solver {
+ public:
+  explicit SlowSolver(Eigen::Index count) : positions_(count, 3) {}
+  Eigen::Index vertex_count() const override { return positions_.rows(); }
+  void reset(ConstPositions reference) override { positions_ = reference; }
+  const Positions& step(ConstPositions reference, const Positions*) override {
+    std::this_thread::sleep_for(std::chrono::milliseconds(60));
+    threads = omp_get_max_threads();
+    positions_ = reference;
+    return positions_;
+  }
+  SolverState state() const override { return {}; }
+  void restore(const SolverState&) override {}
+  int threads = 0;
+
+ private:
+  Positions positions_;
+};
+
+}  // namespace
+
+TEST_CASE("a long frame can be waited for a little at a time, and has the threads that it was promised") {
+  const Box box;
+  for (const int threads : {1, 3}) {
+    SlowSolver solver(box.volume.vertices.rows());
+    RiggedMotion motion(box.character, solver, threads);
+    CHECK(motion.wait(0.0));  // nothing is under way
+    motion.reset(pose_at(0));
+    motion.begin(pose_at(1), nullptr);
+    CHECK_FALSE(motion.wait(0.001));
+    while (!motion.wait(0.01)) {
+    }
+    CHECK(motion.finish().offsets.isZero(1e-12));
+    CHECK(solver.threads == threads);
+  }
 }
 
 TEST_CASE("bad poses and calls out of order are refused, also from the other thread, and the motion goes on") {

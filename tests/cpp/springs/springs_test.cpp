@@ -102,7 +102,7 @@ TEST_CASE("springs step as the plain particle does, with every instruction set, 
 }
 
 TEST_CASE("springs do not depend on the number of threads") {
-  const Eigen::Index count = 70001;  // enough for the work to be shared
+  const Eigen::Index count = 200001;  // enough for the work to be shared
   const Constants constants = random_constants(count, -3.0, 6.0, 3);
   const std::vector<Positions> motion = random_motion(count, 4, 4);
   const int usual = omp_get_max_threads();
