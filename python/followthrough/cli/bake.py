@@ -260,12 +260,18 @@ def _explain_nothing_to_bake() -> None:
     import bpy
 
     from followthrough import blender
+    from followthrough.blender.scene import skeleton_of
 
     meshes = [obj for obj in bpy.data.objects if obj.type == "MESH"]
     if not meshes:
         raise ValueError("the file has no mesh: there is nothing to bake")
     if any(blender.skinned_meshes(scene) for scene in bpy.data.scenes):
         raise ValueError("every mesh that an armature moves is hidden: show one, or leave only those that are wanted")
+    outside = [obj.name for obj in meshes if skeleton_of(obj) is not None and not obj.users_scene]
+    if outside:
+        raise ValueError(
+            f"{', '.join(map(repr, outside))} is in no scene (its collection may be instanced): link the collection to the scene"
+        )
     reasons = filter(None, map(blender.why_not_bakeable, meshes))
     raise ValueError(next(reasons, "no mesh of the file is moved by an armature: choose one with --object"))
 

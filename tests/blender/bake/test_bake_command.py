@@ -275,3 +275,28 @@ def test_without_blender_it_says_how_to_get_it(tmp_path):
     assert done.returncode == 2
     assert "pip install 'followthrough[blender]'" in done.stderr
     assert "blender --background" in done.stderr
+
+
+def hidden(character):
+    character.mesh.hide_set(True)
+    return "hidden"
+
+
+def in_an_instanced_collection(character):
+    collection = bpy.data.collections.new("Library")
+    for obj in (character.mesh, character.armature):
+        bpy.context.scene.collection.objects.unlink(obj)
+        collection.objects.link(obj)
+    instance = bpy.data.objects.new("Instance", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", collection
+    bpy.context.scene.collection.objects.link(instance)
+    return "'Creature' is in no scene"
+
+
+@pytest.mark.parametrize("spoil", [hidden, in_an_instanced_collection])
+def test_what_is_not_shown_is_told(character, tmp_path, capfd, spoil):
+    reason = spoil(character)
+    target = tmp_path / "out.blend"
+    assert main(["bake", str(save(tmp_path / "in.blend")), "-o", str(target), *QUICK]) == 2
+    assert reason in capfd.readouterr().err
+    assert not target.exists()
