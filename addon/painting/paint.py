@@ -17,6 +17,14 @@ MEANINGS = {
 }
 
 
+#: What the tooltips say before that. Operators do not find their own properties' texts while a tooltip is made.
+TARGETS = {
+    "STIFFNESS": "Paint where the character is soft and where it is stiff",
+    "MASS": "Paint where the character is light and where it is heavy",
+    "PINS": "Paint where the character follows its armature",
+}
+
+
 def group_to_paint(obj: bpy.types.Object, target: str) -> str | None:
     """Name of the vertex group behind a target; None where no pin group is chosen."""
     if target == "STIFFNESS":
@@ -57,18 +65,13 @@ class FOLLOWTHROUGH_OT_paint(Operator):
     target: EnumProperty(  # type: ignore[valid-type]
         name="Paint",
         description="What is painted",
-        items=(
-            ("STIFFNESS", "Stiffness", "Paint where the character is soft and where it is stiff"),
-            ("MASS", "Mass", "Paint where the character is light and where it is heavy"),
-            ("PINS", "Pins", "Paint where the character follows its armature"),
-        ),
+        items=tuple((key, key.title(), description) for key, description in TARGETS.items()),
         options={"SKIP_SAVE"},
     )
 
     @classmethod
     def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
-        item = cls.bl_rna.properties["target"].enum_items[properties.target]
-        return f"{item.description}: {MEANINGS[properties.target]}"
+        return f"{TARGETS[properties.target]}: {MEANINGS[properties.target]}"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -3,7 +3,7 @@
 
 import bpy
 
-from followthrough.blender import FrameRange, ObjectSettings, PaintGroups, PinGroup
+from followthrough.blender import FrameRange, ObjectSettings, PaintGroups, PinGroup, action_frames
 from followthrough.settings import Settings, SimulationSettings, SpringSettings, VolumeSettings
 
 from .settings import EARTH, KILO, stiffness_from_frequency
@@ -41,12 +41,25 @@ def object_settings(obj: bpy.types.Object) -> ObjectSettings:
 
 
 def frame_range(obj: bpy.types.Object) -> FrameRange:
-    """Which frames are baked when this object is the active one."""
+    """Which frames are baked when this object is the active one.
+
+    Raises
+    ------
+    ValueError
+        Where they are to be an action's, and there is none.
+    """
     settings = obj.followthrough
-    custom = settings.frame_range == "CUSTOM"
+    start, end = None, None
+    if settings.frame_range == "CUSTOM":
+        start, end = settings.frame_start, settings.frame_end
+    elif settings.frame_range == "ACTION":
+        frames = action_frames(obj, bpy.context.scene)
+        if frames is None:
+            raise ValueError(f"The armature of '{obj.name}' plays no action: choose another range")
+        start, end = frames
     return FrameRange(
-        start=settings.frame_start if custom else None,
-        end=settings.frame_end if custom else None,
+        start=start,
+        end=end,
         # A loop begins in its own last cycle, not before its first frame.
         preroll=0 if settings.use_loop else settings.preroll,
         cycles=settings.cycles if settings.use_loop else 0,

@@ -261,6 +261,7 @@ class FollowthroughSettings(PropertyGroup):
         description="Which frames are baked",
         items=(
             ("SCENE", "Scene", "Bake the frame range of the scene"),
+            ("ACTION", "Action", "Bake the frames of the action that the armature plays"),
             ("CUSTOM", "Custom", "Bake a frame range of its own"),
         ),
         default="SCENE",

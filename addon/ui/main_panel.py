@@ -11,10 +11,11 @@ from followthrough.blender import baked_range, why_not_bakeable
 from ..bake.clear import FOLLOWTHROUGH_OT_clear
 from ..bake.operator import FOLLOWTHROUGH_OT_bake
 from ..bake.session import BakeSession, running
-from ..characters import active_mesh, meshes_of_armature, selected_characters
+from ..characters import active_character, active_mesh, meshes_of_armature, selected_characters
 from ..painting.add import FOLLOWTHROUGH_OT_add
 from ..painting.paint import FOLLOWTHROUGH_OT_select_character
 from ..painting.remove import FOLLOWTHROUGH_OT_remove
+from ..properties.bake_settings import frame_range
 
 
 class FollowthroughPanel:
@@ -27,6 +28,10 @@ class FollowthroughPanel:
 
 class FOLLOWTHROUGH_PT_main(FollowthroughPanel, Panel):
     bl_label = "Followthrough"
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        if active_character(context) is not None:
+            self.layout.operator(FOLLOWTHROUGH_OT_remove.bl_idname, text="", icon="X", emboss=False)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
@@ -47,8 +52,6 @@ class FOLLOWTHROUGH_PT_main(FollowthroughPanel, Panel):
         else:
             draw_bake(layout, context)
         draw_baked(layout, obj)
-        if obj.followthrough.is_added:
-            layout.operator(FOLLOWTHROUGH_OT_remove.bl_idname, icon="X")
 
 
 def draw_choice_of_mesh(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -76,10 +79,13 @@ def draw_progress(layout: bpy.types.UILayout, bake: BakeSession) -> None:
 def draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """The Bake button, which says what it would bake."""
     characters = selected_characters(context)
-    settings, scene = characters[0].followthrough, context.scene
-    custom = settings.frame_range == "CUSTOM"
-    start = settings.frame_start if custom else scene.frame_start
-    end = settings.frame_end if custom else scene.frame_end
+    try:
+        frames, scene = frame_range(characters[0]), context.scene
+    except ValueError as problem:
+        draw_text(layout, context, str(problem), icon="ERROR")
+        return
+    start = scene.frame_start if frames.start is None else frames.start
+    end = scene.frame_end if frames.end is None else frames.end
     text = f"Bake {end - start + 1} Frames"
     if len(characters) > 1:
         text += f" of {len(characters)} Meshes"

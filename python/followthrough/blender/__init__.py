@@ -27,7 +27,7 @@ from followthrough.blender.groups import (
     write_group,
 )
 from followthrough.blender.rig_reading import read_surface
-from followthrough.blender.scene import NotBakeableError, skinned_meshes, why_not_bakeable
+from followthrough.blender.scene import NotBakeableError, action_frames, skinned_meshes, why_not_bakeable
 from followthrough.blender.shape_keys import baked_range, clear
 
 __all__ = [
@@ -43,6 +43,7 @@ __all__ = [
     "PaintGroups",
     "PinGroup",
     "Progress",
+    "action_frames",
     "add_groups",
     "baked_range",
     "clear",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import bpy
 
-from followthrough.blender.actions import has_foreign_animation
+from followthrough.blender.actions import has_foreign_animation, played_range, scene_frames
 from followthrough.blender.shape_keys import our_names
 
 #: Modifiers that move vertices one by one and keep their number.
@@ -98,6 +98,12 @@ def skeletons_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
     if _is_deformed_by_parent(obj) and obj.parent.type == "ARMATURE":
         found.append(obj.parent)
     return found
+
+
+def action_frames(obj: bpy.types.Object, scene: bpy.types.Scene) -> tuple[int, int] | None:
+    """First and last frame of the scene in which the actions of the mesh's armatures play; None where they play none."""
+    times = played_range(skeletons_of(obj))
+    return None if times is None else scene_frames(times, scene)
 
 
 def require_posed(obj: bpy.types.Object) -> None:

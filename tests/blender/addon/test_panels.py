@@ -105,6 +105,31 @@ def test_painting_shows_what_the_values_mean(addon: ModuleType, painted: bpy.typ
     assert addon.painting.paint.MEANINGS[target] in draw(addon)["Paint"]
 
 
+@pytest.mark.parametrize("target", ["STIFFNESS", "MASS", "PINS"])
+def test_the_tooltips_of_painting(addon: ModuleType, target: str) -> None:
+    """Blender asks for them with the operator's class, as here."""
+    operator = addon.painting.paint.FOLLOWTHROUGH_OT_paint
+    tooltip = operator.description(bpy.context, SimpleNamespace(target=target))
+    assert tooltip.startswith("Paint where the character")
+    assert tooltip.endswith(addon.painting.paint.MEANINGS[target])
+
+
+def test_remove_is_in_the_title(addon: ModuleType, character: bpy.types.Object) -> None:
+    header = addon.ui.main_panel.FOLLOWTHROUGH_PT_main.draw_header_preset
+    layouts = [RecordingLayout(), RecordingLayout()]
+    header(SimpleNamespace(layout=layouts[0]), bpy.context)
+    bpy.ops.followthrough.add()
+    header(SimpleNamespace(layout=layouts[1]), bpy.context)
+    assert [layout.icons for layout in layouts] == [[], ["X"]]
+
+
+def test_an_action_that_is_not_there_is_told(addon: ModuleType, painted: bpy.types.Object) -> None:
+    painted.followthrough.frame_range = "ACTION"
+    assert "Bake 12 Frames" in draw(addon)["Followthrough"]
+    painted.parent.animation_data_clear()
+    assert any("plays no action" in text for text in [" ".join(draw(addon)["Followthrough"])])
+
+
 def test_every_solver_shows_its_own_settings(addon: ModuleType, painted: bpy.types.Object) -> None:
     springs = draw(addon)["Motion"]
     assert springs[-1] == "Damping"

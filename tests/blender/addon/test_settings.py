@@ -75,6 +75,23 @@ def test_frame_ranges(addon: ModuleType, painted: bpy.types.Object) -> None:
     assert (frames(painted).preroll, frames(painted).cycles) == (0, 3)
 
 
+def test_the_frames_of_the_action(addon: ModuleType, painted: bpy.types.Object) -> None:
+    painted.followthrough.frame_range = "ACTION"
+    armature = painted.parent
+    for frame in (4, 30):
+        armature.pose.bones["lower"].keyframe_insert("location", frame=frame)
+    frames = addon.properties.bake_settings.frame_range(painted)
+    assert (frames.start, frames.end) == (1, 30)
+    bpy.context.scene.render.frame_map_new = 50  # animation runs twice as fast
+    frames = addon.properties.bake_settings.frame_range(painted)
+    assert (frames.start, frames.end) == (1, 15)
+    armature.animation_data_clear()
+    with pytest.raises(ValueError, match="plays no action"):
+        addon.properties.bake_settings.frame_range(painted)
+    with pytest.raises(RuntimeError, match="plays no action"):
+        bpy.ops.followthrough.bake()
+
+
 def test_every_pin_group_is_passed_with_its_strength(addon: ModuleType, painted: bpy.types.Object) -> None:
     bpy.ops.followthrough.add_pin_group()
     painted.followthrough.pin_groups[1].strength = 0.5
