@@ -105,8 +105,10 @@ def _newton_work(solver: ImplicitEuler) -> Mapping[str, float]:
     return {"Newton": last.iterations, "CG": last.linear_iterations, "unconverged": not last.converged}
 
 
-def _central_differences(scene: Scene) -> Solver:
-    return CentralDifferences(scene.body(), scene.sequence.constrained, scene.sequence.dt)
+def _central_differences(substeps: int | None) -> Callable[[Scene], Solver]:
+    return lambda scene: CentralDifferences(
+        scene.body(), scene.sequence.constrained, scene.sequence.dt, substeps=substeps
+    )
 
 
 def _central_differences_forecast(solver: CentralDifferences, scene: Scene) -> float:
@@ -133,12 +135,15 @@ METHODS: tuple[Method, ...] = (
     Method("springs", "zero-restlength springs, default constants", _springs),
     *(_elastic(quality, "invertible-stvk") for quality in QUALITIES),
     *(_elastic(quality, "corotational") for quality in QUALITIES[:-1]),  # converged has the same error
-    Method(
-        "central-differences",
-        "explicit, as many substeps as are stable",
-        _central_differences,
-        lambda solver: {"substeps": solver.last_substeps},
-        _central_differences_forecast,
+    *(
+        Method(
+            f"central-differences/{substeps or 'stable'}",
+            f"explicit, {substeps or 'as many as are stable'} substeps",
+            _central_differences(substeps),
+            lambda solver: {"substeps": solver.last_substeps},
+            _central_differences_forecast,
+        )
+        for substeps in (100, None)
     ),
 )
 
