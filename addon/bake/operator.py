@@ -20,9 +20,6 @@ LONGEST_TIME_SLICE = 0.4
 _VIEW_EVENTS = {"MIDDLEMOUSE", "MOUSEMOVE", "TRACKPADPAN", "TRACKPADZOOM", "MOUSEROTATE", "MOUSESMARTZOOM"}
 _WHEEL_EVENTS = {"WHEELUPMOUSE", "WHEELDOWNMOUSE"}
 
-#: Residuals below this share of the largest displacement are not worth a word.
-_NOTABLE_RESIDUAL = 0.05
-
 
 class FOLLOWTHROUGH_OT_bake(Operator):
     bl_idname = "followthrough.bake"
@@ -144,12 +141,8 @@ class FOLLOWTHROUGH_OT_bake(Operator):
         names = ", ".join(baked.name for baked in report.objects)
         self.report({"INFO"}, f"Baked {frames} frames of {names} in {report.seconds:.1f} s")
         for baked in report.objects:
-            if baked.largest_residual > _NOTABLE_RESIDUAL * baked.largest_displacement:
-                self.report(
-                    {"WARNING"},
-                    f"{baked.name}: the rig flattens the skin somewhere, where up to "
-                    f"{1000 * baked.largest_residual:.2g} mm of the motion cannot be shown",
-                )
+            for warning in baked.warnings:
+                self.report({"WARNING"}, warning)
 
 
 def _redraw_sidebars(context: bpy.types.Context) -> None:

@@ -8,6 +8,9 @@ import bpy
 
 from followthrough.blender import Bake, BakeReport, FrameRange, ObjectSettings
 
+#: Seconds after which a frame that is still being simulated lets go of Blender's thread.
+PATIENCE = 0.05
+
 _running: "BakeSession | None" = None
 
 
@@ -43,7 +46,7 @@ class BakeSession:
         if _running is not None:
             raise ValueError("Another bake is under way")
         self._bake = Bake(scene, objects, frames)
-        self._steps = self._bake.run()
+        self._steps = self._bake.run(patience=PATIENCE)
         self._simulating_since = time.monotonic()
         self.object_names = tuple(objects)
         self.done = 0
@@ -56,7 +59,7 @@ class BakeSession:
         return self._bake.total
 
     def advance(self, seconds: float) -> bool:
-        """Simulate frames for about so long, one at least.
+        """Simulate for about so long: a part of a frame or many frames.
 
         Returns
         -------

@@ -4,9 +4,9 @@
 import bpy
 
 from followthrough.blender import FrameRange, ObjectSettings, PaintGroups, PinGroup
-from followthrough.settings import Settings, SpringSettings, VolumeSettings
+from followthrough.settings import Settings, SimulationSettings, SpringSettings, VolumeSettings
 
-from .settings import stiffness_from_frequency
+from .settings import EARTH, KILO, stiffness_from_frequency
 
 
 def object_settings(obj: bpy.types.Object) -> ObjectSettings:
@@ -21,12 +21,19 @@ def object_settings(obj: bpy.types.Object) -> ObjectSettings:
     return ObjectSettings(
         motion=Settings(
             volume=VolumeSettings(cells=settings.cells, split_parts=settings.use_split_parts),
+            solver=settings.solver,
             springs=SpringSettings(
                 stiffness_range=(
                     stiffness_from_frequency(settings.frequency_soft),
                     stiffness_from_frequency(settings.frequency_stiff),
                 ),
                 damping_ratio=settings.damping_ratio,
+            ),
+            simulation=SimulationSettings(
+                youngs_modulus_range=(KILO * settings.modulus_soft, KILO * settings.modulus_stiff),
+                damping_ratio=settings.simulation_damping,
+                gravity=EARTH * settings.gravity,
+                quality=settings.quality,
             ),
         ),
         groups=PaintGroups(pins=tuple(PinGroup(pin.name, pin.strength) for pin in settings.pin_groups)),

@@ -2,6 +2,8 @@
 """Settings of one character, kept on its object and saved with the file."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import bpy
 from bpy.props import (
@@ -14,18 +16,21 @@ from bpy.props import (
 )
 from bpy.types import PropertyGroup
 
-from followthrough.settings import SpringSettings, VolumeSettings
+from followthrough.settings import SimulationSettings, SpringSettings, VolumeSettings
 
 _SPRINGS = SpringSettings()
 _VOLUME = VolumeSettings()
 
+_SIMULATION = SimulationSettings()
+
 #: Blender knows hertz since 4.5; before that the name says the unit.
 _KNOWS_HERTZ = "FREQUENCY" in bpy.types.Property.bl_rna.properties["unit"].enum_items
-_HERTZ = {"unit": "FREQUENCY"} if _KNOWS_HERTZ else {}
+#: From kilopascals to pascals.
+KILO = 1000.0
+#: Gravity on earth, m/s².
+EARTH = 9.81
 
-
-def _named_in_hertz(name: str) -> str:
-    return name if _KNOWS_HERTZ else f"{name} (Hz)"
+_Update = Callable[["FollowthroughSettings", bpy.types.Context], None]
 
 
 def frequency_from_stiffness(stiffness: float) -> float:
@@ -38,24 +43,75 @@ def stiffness_from_frequency(frequency: float) -> float:
     return (2.0 * math.pi * frequency) ** 2
 
 
-def _raise_stiff_frequency(settings: "FollowthroughSettings", _context: bpy.types.Context) -> None:
-    if settings.frequency_stiff < settings.frequency_soft:
-        settings.frequency_stiff = settings.frequency_soft
+def _kept_in_order(low: str, high: str) -> tuple[_Update, _Update]:
+    """Updates of two properties of which one may not pass the other: the one that is set takes the other along."""
+
+    def raise_high(settings: "FollowthroughSettings", _context: bpy.types.Context) -> None:
+        if getattr(settings, high) < getattr(settings, low):
+            setattr(settings, high, getattr(settings, low))
+
+    def lower_low(settings: "FollowthroughSettings", _context: bpy.types.Context) -> None:
+        if getattr(settings, low) > getattr(settings, high):
+            setattr(settings, low, getattr(settings, high))
+
+    return raise_high, lower_low
 
 
-def _lower_soft_frequency(settings: "FollowthroughSettings", _context: bpy.types.Context) -> None:
-    if settings.frequency_soft > settings.frequency_stiff:
-        settings.frequency_soft = settings.frequency_stiff
+_raise_stiff_frequency, _lower_soft_frequency = _kept_in_order("frequency_soft", "frequency_stiff")
+_raise_stiff_modulus, _lower_soft_modulus = _kept_in_order("modulus_soft", "modulus_stiff")
+_raise_last_frame, _lower_first_frame = _kept_in_order("frame_start", "frame_end")
 
 
-def _raise_last_frame(settings: "FollowthroughSettings", _context: bpy.types.Context) -> None:
-    if settings.frame_end < settings.frame_start:
-        settings.frame_end = settings.frame_start
+def _frequency(name: str, description: str, stiffness: float, update: _Update) -> Any:
+    """A frequency in hertz; its default is that of a spring stiffness."""
+    unit = {"unit": "FREQUENCY"} if _KNOWS_HERTZ else {}
+    return FloatProperty(
+        name=name if _KNOWS_HERTZ else f"{name} (Hz)",
+        description=description,
+        default=frequency_from_stiffness(stiffness),
+        min=0.01,
+        max=1000.0,
+        soft_min=0.2,
+        soft_max=20.0,
+        step=10,
+        precision=2,
+        update=update,
+        **unit,
+    )
 
 
-def _lower_first_frame(settings: "FollowthroughSettings", _context: bpy.types.Context) -> None:
-    if settings.frame_start > settings.frame_end:
-        settings.frame_start = settings.frame_end
+def _modulus(name: str, description: str, pascals: float, update: _Update) -> Any:
+    """Young's modulus in kilopascals, a unit that Blender does not know."""
+    return FloatProperty(
+        name=f"{name} (kPa)",
+        description=f"{description}, in kilopascals of a character 1 m long; one of another size gets that of its size",
+        default=pascals / KILO,
+        min=0.01,
+        max=1e6,
+        soft_min=0.5,
+        soft_max=1000.0,
+        step=100,
+        precision=2,
+        update=update,
+    )
+
+
+def _damping(description: str, default: float) -> Any:
+    return FloatProperty(
+        name="Damping",
+        description=description,
+        subtype="FACTOR",
+        default=default,
+        min=0.0,
+        soft_max=1.0,
+        max=100.0,
+        step=1,
+        precision=2,
+    )
+
+
+def _scene_frame(name: str, description: str, default: int, update: _Update) -> Any:
+    return IntProperty(name=name, description=description, default=default, min=-1048574, max=1048574, update=update)
 
 
 def _paint_active_pin_group(settings: "FollowthroughSettings", _context: bpy.types.Context) -> None:
@@ -104,42 +160,72 @@ class FollowthroughSettings(PropertyGroup):
         update=_paint_active_pin_group,
     )
 
-    frequency_soft: FloatProperty(  # type: ignore[valid-type]
-        name=_named_in_hertz("Softest"),
-        description="How fast skin swings where stiffness is painted 0; lower is softer and swings farther",
-        default=frequency_from_stiffness(_SPRINGS.stiffness_range[0]),
-        min=0.01,
-        max=1000.0,
-        soft_min=0.2,
-        soft_max=20.0,
-        step=10,
-        precision=2,
-        update=_raise_stiff_frequency,
-        **_HERTZ,
+    solver: EnumProperty(  # type: ignore[valid-type]
+        name="Solver",
+        description="What makes the flesh move",
+        items=(
+            ("springs", "Springs", "Every bit of flesh swings on a spring of its own: instant, always stable"),
+            ("implicit-euler", "Simulation", "Elastic flesh that pulls on its neighbours and keeps its volume: slower"),
+        ),
+        default="springs",
     )
-    frequency_stiff: FloatProperty(  # type: ignore[valid-type]
-        name=_named_in_hertz("Stiffest"),
-        description="How fast skin swings where stiffness is painted 1; higher is stiffer and swings less",
-        default=frequency_from_stiffness(_SPRINGS.stiffness_range[1]),
-        min=0.01,
-        max=1000.0,
-        soft_min=0.2,
-        soft_max=20.0,
-        step=10,
-        precision=2,
-        update=_lower_soft_frequency,
-        **_HERTZ,
+
+    frequency_soft: _frequency(  # type: ignore[valid-type]
+        "Softest",
+        "How fast skin swings where stiffness is painted 0; lower is softer and swings farther",
+        _SPRINGS.stiffness_range[0],
+        _raise_stiff_frequency,
     )
-    damping_ratio: FloatProperty(  # type: ignore[valid-type]
-        name="Damping",
-        description="How soon the swinging dies down: at 0 never, at 1 and more the skin settles without swinging",
-        subtype="FACTOR",
-        default=_SPRINGS.damping_ratio,
-        min=0.0,
-        soft_max=1.0,
+    frequency_stiff: _frequency(  # type: ignore[valid-type]
+        "Stiffest",
+        "How fast skin swings where stiffness is painted 1; higher is stiffer and swings less",
+        _SPRINGS.stiffness_range[1],
+        _lower_soft_frequency,
+    )
+    damping_ratio: _damping(  # type: ignore[valid-type]
+        "How soon the swinging dies down: at 0 never, at 1 and more the skin settles without swinging",
+        _SPRINGS.damping_ratio,
+    )
+
+    modulus_soft: _modulus(  # type: ignore[valid-type]
+        "Softest",
+        "Stiffness of the flesh (Young's modulus) where stiffness is painted 0",
+        _SIMULATION.youngs_modulus_range[0],
+        _raise_stiff_modulus,
+    )
+    modulus_stiff: _modulus(  # type: ignore[valid-type]
+        "Stiffest",
+        "Stiffness of the flesh (Young's modulus) where stiffness is painted 1",
+        _SIMULATION.youngs_modulus_range[1],
+        _lower_soft_modulus,
+    )
+    simulation_damping: _damping(  # type: ignore[valid-type]
+        "How much sooner the swinging dies down than it does by itself: fewer frames a second damp more already",
+        _SIMULATION.damping_ratio,
+    )
+    gravity: FloatProperty(  # type: ignore[valid-type]
+        name="Gravity",
+        description=(
+            "How strongly flesh is pulled down, 1 as on earth on a character 1 m long; characters are usually modelled "
+            "with what gravity does to them, and need none"
+        ),
+        default=_SIMULATION.gravity / EARTH,
+        min=-100.0,
         max=100.0,
+        soft_min=0.0,
+        soft_max=1.0,
         step=1,
         precision=2,
+    )
+    quality: EnumProperty(  # type: ignore[valid-type]
+        name="Quality",
+        description="How exactly every frame is solved",
+        items=(
+            ("preview", "Preview", "Fast, and visibly off where flesh is soft and moves fast"),
+            ("fine", "Fine", "As good as the eye can tell"),
+            ("converged", "Converged", "Exact, several times slower"),
+        ),
+        default=_SIMULATION.quality,
     )
 
     cells: IntProperty(  # type: ignore[valid-type]
@@ -169,21 +255,11 @@ class FollowthroughSettings(PropertyGroup):
         ),
         default="SCENE",
     )
-    frame_start: IntProperty(  # type: ignore[valid-type]
-        name="First Frame",
-        description="First frame that is baked",
-        default=1,
-        min=-1048574,
-        max=1048574,
-        update=_raise_last_frame,
+    frame_start: _scene_frame(  # type: ignore[valid-type]
+        "First Frame", "First frame that is baked", 1, _raise_last_frame
     )
-    frame_end: IntProperty(  # type: ignore[valid-type]
-        name="Last Frame",
-        description="Last frame that is baked",
-        default=250,
-        min=-1048574,
-        max=1048574,
-        update=_lower_first_frame,
+    frame_end: _scene_frame(  # type: ignore[valid-type]
+        "Last Frame", "Last frame that is baked", 250, _lower_first_frame
     )
     preroll: IntProperty(  # type: ignore[valid-type]
         name="Pre-Roll",

@@ -77,11 +77,16 @@ class FOLLOWTHROUGH_PT_motion(_CharacterPanel, Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, obj = self.character_layout(context)
         settings = obj.followthrough
+        layout.row().prop(settings, "solver", expand=True)
         layout.menu(FOLLOWTHROUGH_MT_presets.__name__, icon="PRESET")
+        simulated = settings.solver != "springs"
         column = layout.column(align=True)
-        column.prop(settings, "frequency_soft")
-        column.prop(settings, "frequency_stiff")
-        layout.prop(settings, "damping_ratio")
+        for name in ("modulus_soft", "modulus_stiff") if simulated else ("frequency_soft", "frequency_stiff"):
+            column.prop(settings, name)
+        layout.prop(settings, "simulation_damping" if simulated else "damping_ratio")
+        if simulated:
+            layout.prop(settings, "gravity")
+            layout.prop(settings, "quality")
 
 
 class FOLLOWTHROUGH_PT_frames(_CharacterPanel, Panel):

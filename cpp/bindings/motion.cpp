@@ -32,7 +32,7 @@ void bind_motion(py::module_& m) {
       .def(py::init([](ConstPositions volume_rest_positions, ConstIndexTable volume_bones, ConstValues volume_weights,
                        ConstTets tets, ConstIndices embedding_tets, ConstWeights4 embedding_weights, ConstIndexTable surface_bones,
                        ConstValues surface_weights, ConstMatrices4 bone_rest_matrices, bool dual_quaternion, double minimum_stretch,
-                       Solver& solver) {
+                       Solver& solver, int threads) {
              return std::make_unique<RiggedMotion>(RiggedCharacter{volume_rest_positions,
                                                                    volume_bones,
                                                                    volume_weights,
@@ -43,12 +43,12 @@ void bind_motion(py::module_& m) {
                                                                    bone_rest_matrices,
                                                                    dual_quaternion ? Skinning::dual_quaternion : Skinning::linear,
                                                                    minimum_stretch},
-                                                   solver);
+                                                   solver, threads);
            }),
            py::arg("volume_rest_positions"), py::arg("volume_bones"), py::arg("volume_weights"), py::arg("tets"),
            py::arg("embedding_tets"), py::arg("embedding_weights"), py::arg("surface_bones"), py::arg("surface_weights"),
            py::arg("bone_rest_matrices"), py::arg("dual_quaternion"), py::arg("minimum_stretch"), py::arg("solver"),
-           py::keep_alive<1, 13>())
+           py::arg("threads"), py::keep_alive<1, 13>())
       .def("reset", &RiggedMotion::reset, py::arg("pose"), py::call_guard<py::gil_scoped_release>())
       .def("reference", &RiggedMotion::reference, py::arg("pose"), py::call_guard<py::gil_scoped_release>())
       .def(
@@ -68,6 +68,7 @@ void bind_motion(py::module_& m) {
             motion.begin(pose, next ? std::make_unique<RigPose>(*next) : nullptr);
           },
           py::arg("pose"), py::arg("next"))
+      .def("wait", &RiggedMotion::wait, py::arg("seconds"), py::call_guard<py::gil_scoped_release>())
       .def("finish", [](RiggedMotion& motion) {
         MotionFrame frame;
         {

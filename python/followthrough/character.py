@@ -63,16 +63,27 @@ class Surface:
         Vertices in the mesh's object space (the Basis shape).
     triangles : (t, 3) int32
     object_scale : (3, 3) float64
-        Symmetric stretch from object space to the world (the polar factor of the object's matrix), so that cells are cubes in
-        the world, in metres.
+        Symmetric stretch from object space to the world (the polar factor of the object's matrix, times the scale that all
+        bones share), so that cells are cubes in the world, in metres.
     rig : Rig or None
         None where something other than an armature moves the mesh; poses are then `SampledPose`.
+    character_size : float or None
+        Longest side at rest, metres in the world, of the character that this mesh is a part of (a jacket on a body); None:
+        of this mesh alone.
     """
 
     rest_positions: FloatArray
     triangles: IntArray
     object_scale: FloatArray = field(default_factory=lambda: np.eye(3))
     rig: Rig | None = None
+    character_size: float | None = None
+
+    @property
+    def size(self) -> float:
+        """`character_size`, or this mesh's own longest side: what lengths of the character are measured by, metres."""
+        if self.character_size is not None:
+            return self.character_size
+        return float(np.ptp(self.rest_positions @ self.object_scale.T, axis=0).max())
 
 
 @dataclass(frozen=True)

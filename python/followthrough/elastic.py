@@ -191,6 +191,8 @@ class ImplicitEuler(_ElasticSolver):
         "preview" bounds the work of a frame, "fine" is as good as the eye can tell, "converged" is exact.
     tolerance
         Size of the residual at which a step has converged, relative to its inertial and its elastic part; None: the quality's.
+    most_iterations, most_linear_iterations
+        Of Newton's method in a step, and of conjugate gradients in one of those; None: the quality's.
     gravity
         m/s².
     mass_damping, stiffness_damping
@@ -212,6 +214,8 @@ class ImplicitEuler(_ElasticSolver):
         *,
         quality: Quality = "converged",
         tolerance: float | None = None,
+        most_iterations: int | None = None,
+        most_linear_iterations: int | None = None,
         gravity: ArrayLike = (0.0, 0.0, 0.0),
         mass_damping: float = 0.0,
         stiffness_damping: float = 0.0,
@@ -222,6 +226,10 @@ class ImplicitEuler(_ElasticSolver):
         newton = getattr(_core.NewtonSettings, quality)()
         if tolerance is not None:
             newton.tolerance = float(tolerance)
+        if most_iterations is not None:
+            newton.most_iterations = int(most_iterations)
+        if most_linear_iterations is not None:
+            newton.most_linear_iterations = int(most_linear_iterations)
         pins = (
             np.zeros(0)
             if pin_stiffness is None

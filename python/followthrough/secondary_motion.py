@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import concurrent.futures
+import contextlib
+import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +13,8 @@ import numpy as np
 
 from followthrough import _core, skinning
 from followthrough.character import BonePose, FloatArray, Paint, Pose, Surface
+from followthrough.elastic import ImplicitEuler
+from followthrough.flesh import loose_vertices, make_flesh
 from followthrough.settings import Settings, SpringSettings
 from followthrough.solver import Solver
 from followthrough.springs import Springs
@@ -30,12 +35,28 @@ class Frame:
         Metres.
     largest_residual : float
         Largest part of a displacement that no offset can reach because the rig flattens the skin there, metres.
+    converged : bool
+        False where the solver could not take the step as exactly as its quality asks for.
     """
 
     offsets: FloatArray
     displacements: FloatArray
     largest_displacement: float
     largest_residual: float
+    converged: bool = True
+
+
+def make_solver(volume: Volume, settings: Settings, dt: float) -> Solver:
+    """The solver that the settings ask for, on the volume's vertices, with painted constants.
+
+    Raises
+    ------
+    ValueError
+        Where it cannot be made for this volume.
+    """
+    if settings.solver == "implicit-euler":
+        return make_flesh(volume, settings.simulation, dt)
+    return make_springs(volume, settings.springs, dt)
 
 
 def make_springs(volume: Volume, settings: SpringSettings, dt: float) -> Springs:
@@ -67,6 +88,7 @@ class RiggedMotion:
         if rig is None or volume.bone_indices is None or volume.bone_weights is None:
             raise ValueError("volume: found none of a rigged character, expected one that was made with a rig")
         self._bone_count = len(rig.bone_segments)
+        self._solver = solver
         rest_matrices = np.zeros((0, 16)) if rig.bone_rest_matrices is None else _matrices(rig.bone_rest_matrices)
         self._core = _core.RiggedMotion(
             volume.rest_positions,
@@ -81,6 +103,8 @@ class RiggedMotion:
             rig.skinning == "dual-quaternion",
             minimum_stretch,
             solver.core,
+            # Springs leave the other cores to Blender, which works on the next pose meanwhile.
+            0 if isinstance(solver, ImplicitEuler) else 1,
         )
 
     def reset(self, pose: Pose) -> None:
@@ -89,15 +113,31 @@ class RiggedMotion:
 
     def step(self, pose: Pose, next_pose: Pose | None) -> Frame:
         """Take one frame."""
-        return Frame(*self._core.step(self._pose(pose), None if next_pose is None else self._pose(next_pose)))
+        return self._frame(self._core.step(self._pose(pose), None if next_pose is None else self._pose(next_pose)))
+
+    def reference(self, pose: Pose) -> FloatArray:
+        """Where the rig alone puts the volume's vertices, (n, 3) in the world, metres: what the solver is given."""
+        reference: FloatArray = self._core.reference(self._pose(pose))
+        return reference
 
     def begin(self, pose: Pose, next_pose: Pose | None) -> None:
         """Start a frame on the core's own thread."""
         self._core.begin(self._pose(pose), None if next_pose is None else self._pose(next_pose))
 
+    def wait(self, seconds: float) -> bool:
+        """Wait for it, so long at most; whether `finish` would no longer wait."""
+        done: bool = self._core.wait(seconds)
+        return done
+
     def finish(self) -> Frame:
         """Wait for it."""
-        return Frame(*self._core.finish())
+        return self._frame(self._core.finish())
+
+    def _frame(self, result: tuple[FloatArray, FloatArray, float, float]) -> Frame:
+        offsets, displacements, largest_displacement, largest_residual = result
+        return Frame(
+            offsets, displacements, largest_displacement, largest_residual, converged=_has_converged(self._solver)
+        )
 
     def _pose(self, pose: Pose) -> Any:
         if not isinstance(pose, BonePose):
@@ -108,6 +148,10 @@ class RiggedMotion:
             )
         armature = np.eye(4) if pose.armature is None else pose.armature
         return _core.RigPose(_matrices(pose.bone_matrices), armature, pose.world)
+
+
+def _has_converged(solver: Solver) -> bool:
+    return not isinstance(solver, ImplicitEuler) or solver.last_step.converged
 
 
 def _matrices(matrices: FloatArray) -> FloatArray:
@@ -122,9 +166,14 @@ class SecondaryMotion:
     surface, paint
         The character.
     settings
-        Volume and springs.
+        Volume and solver.
     dt
         Seconds a frame.
+
+    Raises
+    ------
+    ValueError
+        Where the arrays do not fit each other, or the solver cannot be made for them.
     """
 
     def __init__(self, surface: Surface, paint: Paint, settings: Settings, dt: float) -> None:
@@ -132,10 +181,20 @@ class SecondaryMotion:
             raise ValueError(f"dt: found {dt:g}, expected a positive number of seconds")
         self.settings = settings
         self.volume = build_volume(surface, paint, settings.volume)
-        self.solver: Solver = make_springs(self.volume, settings.springs, dt)
+        self.solver = make_solver(self.volume, settings, dt)
         self._rigged = None if surface.rig is None else RiggedMotion(self.volume, self.solver, settings.minimum_stretch)
         self._ahead: tuple[Pose, FloatArray] | None = None
-        self._begun: Frame | None = None
+        self._threads: concurrent.futures.ThreadPoolExecutor | None = None
+        self._begun: concurrent.futures.Future[Frame] | None = None
+        self._under_way = False
+
+    @property
+    def loose_vertex_count(self) -> int:
+        """Vertices of the surface in parts that no pin holds, where the solver needs one: they follow the reference."""
+        if self.settings.solver == "springs":
+            return 0
+        tet_mesh = self.volume.tet_mesh
+        return int(loose_vertices(self.volume)[tet_mesh.tets[tet_mesh.embedding_tets, 0]].sum())
 
     def reset(self, pose: Pose) -> Frame:
         """Start over in this pose, without secondary motion."""
@@ -160,20 +219,45 @@ class SecondaryMotion:
         return self._sampled_step(pose, next_pose)
 
     def begin(self, pose: Pose, next_pose: Pose | None = None) -> None:
-        """Start `step`, for a rigged character on a thread of its own, while the caller reads the next pose."""
+        """Start `step` on a thread of its own, while the caller reads the next pose. `finish` or `abandon` must follow."""
         if self._rigged is not None:
             self._rigged.begin(pose, next_pose)
         else:
-            self._begun = self._sampled_step(pose, next_pose)
+            if self._threads is None:
+                self._threads = concurrent.futures.ThreadPoolExecutor(max_workers=1)
+            self._begun = self._threads.submit(self._sampled_step, pose, next_pose)
+        self._under_way = True
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for the frame under way, so long at most; whether `finish` would no longer wait."""
+        if self._rigged is not None:
+            return self._rigged.wait(seconds)
+        return self._begun is None or bool(concurrent.futures.wait([self._begun], seconds).done)
 
     def finish(self) -> Frame:
         """Wait for what `begin` started: the same frame, to the bit, that `step` returns."""
+        if not self._under_way:
+            raise ValueError("pose: found no frame under way, expected begin to be called first")
+        self._under_way = False
+        return self._collect()
+
+    def abandon(self) -> None:
+        """Leave a frame under way to itself, if there is one: nothing waits for its end, and nobody sees it."""
+        if self._under_way:
+            self._under_way = False
+            # The thread keeps all that the frame needs for as long as it needs it.
+            threading.Thread(target=self._collect_in_vain).start()
+
+    def _collect(self) -> Frame:
         if self._rigged is not None:
             return self._rigged.finish()
-        if self._begun is None:
-            raise ValueError("pose: found no frame under way, expected begin to be called first")
-        frame, self._begun = self._begun, None
-        return frame
+        assert self._begun is not None
+        begun, self._begun = self._begun, None
+        return begun.result()
+
+    def _collect_in_vain(self) -> None:
+        with contextlib.suppress(ValueError):
+            self._collect()
 
     def _sampled_step(self, pose: Pose, next_pose: Pose | None) -> Frame:
         if isinstance(pose, BonePose):
@@ -186,7 +270,13 @@ class SecondaryMotion:
         to_world = pose.world[:3, :3]
         local = displacements @ np.linalg.inv(to_world).T
         offsets, residuals = skinning.invert_displacements(pose.jacobians, local, self.settings.minimum_stretch)
-        return Frame(offsets, displacements, _longest(displacements), _longest(residuals @ to_world.T))
+        return Frame(
+            offsets,
+            displacements,
+            _longest(displacements),
+            _longest(residuals @ to_world.T),
+            _has_converged(self.solver),
+        )
 
 
 def _longest(vectors: FloatArray) -> float:

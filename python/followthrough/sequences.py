@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,8 +127,15 @@ class Sequence:
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
-    def save(self, path: Path | str) -> None:
+    def save(self, path: Path | str, precision: Literal["float32", "float64"] = "float64") -> None:
         """Write a sequence file, all or nothing.
+
+        Parameters
+        ----------
+        path
+            The file.
+        precision
+            What the positions of the frames are stored in; everything else is stored as it is.
 
         Raises
         ------
@@ -136,7 +143,11 @@ class Sequence:
             Where the folder is missing.
         """
         arrays = {field.name: getattr(self, field.name) for field in fields(self)}
-        write_npz(path, {name: np.asarray(value) for name, value in arrays.items() if value is not None})
+        arrays = {name: np.asarray(value) for name, value in arrays.items() if value is not None}
+        for name in ("reference", "dynamic"):
+            if name in arrays:
+                arrays[name] = arrays[name].astype(precision, copy=False)
+        write_npz(path, arrays)
 
 
 def _reals(name: str, values: Any, expected: str, shape: tuple[int | None, ...]) -> FloatArray:

@@ -5,14 +5,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
+
+from followthrough.elastic import QUALITIES, Quality
 
 VolumeMethod = Literal["voxel", "tetgen"]
+SolverName = Literal["springs", "implicit-euler"]
+SOLVERS: tuple[SolverName, ...] = get_args(SolverName)
 
 
 def _require_range(name: str, low: float, high: float) -> None:
     if not (math.isfinite(low) and math.isfinite(high) and 0 < low <= high):
         raise ValueError(f"{name}: found {low:g} to {high:g}, expected two finite numbers with 0 < low <= high")
+
+
+def _require_not_negative(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value >= 0):
+        raise ValueError(f"{name}: found {value:g}, expected a finite number, 0 or more")
 
 
 @dataclass(frozen=True)
@@ -42,8 +51,47 @@ class SpringSettings:
         _require_range("mass_range", *self.mass_range)
         for name in ("damping_ratio", "damping"):
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"{name}: found {value:g}, expected a finite number, 0 or more")
+            if value is not None:
+                _require_not_negative(name, value)
+
+
+@dataclass(frozen=True)
+class SimulationSettings:
+    """Flesh for the finite elements (`elastic.ImplicitEuler`) that painted values are mapped to.
+
+    Stiffness and gravity are those of a character 1 m long along its longest side (`Surface.size`); for another size the modulus
+    is multiplied by the size squared and gravity by the size. A copy of a character in other units then moves alike.
+
+    Parameters
+    ----------
+    youngs_modulus_range
+        Young's modulus (Pa) where the stiffness group is painted 0 and 1; between them the scale is logarithmic.
+    density_range
+        Density (kg/m³) where the mass group is painted 0 and 1, logarithmic between.
+    damping_ratio
+        Damping beside backward Euler's own, which no setting takes away: share of critical damping of a layer of flesh
+        of middle stiffness, a tenth of the character thick (`flesh.FLESH_THICKNESS`). Faster motion is damped more, rigid
+        motion not at all.
+    gravity
+        Downwards along the world's z, m/s². Rigs are usually modelled as gravity has them, so it is 0 as it comes.
+    quality
+        "preview" bounds the work of a frame, "fine" is as good as the eye can tell, "converged" is exact.
+    """
+
+    youngs_modulus_range: tuple[float, float] = (2e3, 1e5)
+    density_range: tuple[float, float] = (250.0, 4000.0)
+    damping_ratio: float = 0.0
+    gravity: float = 0.0
+    quality: Quality = "fine"
+
+    def __post_init__(self) -> None:
+        _require_range("youngs_modulus_range", *self.youngs_modulus_range)
+        _require_range("density_range", *self.density_range)
+        _require_not_negative("damping_ratio", self.damping_ratio)
+        if not math.isfinite(self.gravity):
+            raise ValueError(f"gravity: found {self.gravity:g}, expected a finite number")
+        if self.quality not in QUALITIES:
+            raise ValueError(f"quality: found {self.quality!r}, expected {', '.join(QUALITIES)}")
 
 
 @dataclass(frozen=True)
@@ -71,8 +119,7 @@ class VolumeSettings:
     def __post_init__(self) -> None:
         if self.cells < 1:
             raise ValueError(f"cells: found {self.cells}, expected 1 or more")
-        if not (math.isfinite(self.core_radius) and self.core_radius >= 0):
-            raise ValueError(f"core_radius: found {self.core_radius:g}, expected a finite number, 0 or more")
+        _require_not_negative("core_radius", self.core_radius)
         if self.method not in ("voxel", "tetgen"):
             raise ValueError(f"method: found {self.method!r}, expected 'voxel' or 'tetgen'")
 
@@ -83,17 +130,25 @@ class Settings:
 
     Parameters
     ----------
-    volume, springs
+    volume
         See there.
+    solver
+        "springs", or "implicit-euler": finite elements.
+    springs, simulation
+        Constants of the one and of the other.
     minimum_stretch
         Inverse skinning never divides by a stretch smaller than this: where the rig flattens the skin, the shape key stays bounded and
         the part of the motion that it cannot show is reported as the residual.
     """
 
     volume: VolumeSettings = field(default_factory=VolumeSettings)
+    solver: SolverName = "springs"
     springs: SpringSettings = field(default_factory=SpringSettings)
+    simulation: SimulationSettings = field(default_factory=SimulationSettings)
     minimum_stretch: float = 0.05
 
     def __post_init__(self) -> None:
+        if self.solver not in SOLVERS:
+            raise ValueError(f"solver: found {self.solver!r}, expected {' or '.join(SOLVERS)}")
         if not (math.isfinite(self.minimum_stretch) and 0 < self.minimum_stretch <= 1):
             raise ValueError(f"minimum_stretch: found {self.minimum_stretch:g}, expected more than 0 and at most 1")

@@ -4,6 +4,7 @@
 #include <omp.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <condition_variable>
 #include <exception>
@@ -33,10 +34,10 @@ bool same(const RigPose& a, const RigPose& b) {
 
 }  // namespace
 
-/// One thread that takes one frame at a time. It works alone: the caller's other threads are busy with the next pose.
+/// One thread, with helpers where it may have some, that takes one frame at a time.
 class RiggedMotion::Worker {
  public:
-  Worker() : thread_([this] { run(); }) {}
+  explicit Worker(int threads) : thread_([this, threads] { run(threads); }) {}
   ~Worker() {
     {
       const std::lock_guard lock(mutex_);
@@ -61,6 +62,11 @@ class RiggedMotion::Worker {
     changed_.notify_all();
   }
 
+  bool wait(double seconds) {
+    std::unique_lock lock(mutex_);
+    return changed_.wait_for(lock, std::chrono::duration<double>(seconds), [this] { return !motion_ || result_ || error_; });
+  }
+
   MotionFrame finish() {
     std::unique_lock lock(mutex_);
     if (!motion_) throw InvalidInput("pose", "found no frame under way, expected begin to be called first");
@@ -71,8 +77,8 @@ class RiggedMotion::Worker {
   }
 
  private:
-  void run() {
-    omp_set_num_threads(1);  // of this thread's own parallel regions
+  void run(int threads) {
+    if (threads > 0) omp_set_num_threads(threads);  // of this thread's own parallel regions
     std::unique_lock lock(mutex_);
     while (true) {
       changed_.wait(lock, [this] { return closing_ || (motion_ && !result_ && !error_); });
@@ -103,7 +109,8 @@ class RiggedMotion::Worker {
   std::thread thread_;  // last: it uses all of the above
 };
 
-RiggedMotion::RiggedMotion(RiggedCharacter character, Solver& solver) : character_(std::move(character)), solver_(solver) {
+RiggedMotion::RiggedMotion(RiggedCharacter character, Solver& solver, int threads)
+    : character_(std::move(character)), solver_(solver), threads_(threads) {
   const Eigen::Index volume = character_.volume_rest_positions.rows();
   require_rows("volume_bones", character_.volume_bones.rows(), volume);
   require_rows("volume_weights", character_.volume_weights.rows(), volume);
@@ -189,9 +196,11 @@ MotionFrame RiggedMotion::step(const RigPose& pose, const RigPose* next) {
 }
 
 void RiggedMotion::begin(const RigPose& pose, std::unique_ptr<RigPose> next) {
-  if (!worker_) worker_ = std::make_unique<Worker>();
+  if (!worker_) worker_ = std::make_unique<Worker>(threads_);
   worker_->begin(*this, pose, std::move(next));
 }
+
+bool RiggedMotion::wait(double seconds) { return !worker_ || worker_->wait(seconds); }
 
 MotionFrame RiggedMotion::finish() {
   if (!worker_) throw InvalidInput("pose", "found no frame under way, expected begin to be called first");

@@ -13,7 +13,8 @@ The command line and the add-on both drive this::
 Messages of `NotBakeableError` and of every other `ValueError` are meant for the artist.
 """
 
-from followthrough.blender.bake import Bake, BakeReport, FrameRange, ObjectReport, ObjectSettings, Progress
+from followthrough.blender.bake import Bake, FrameRange, ObjectSettings, Progress
+from followthrough.blender.bake_report import BakeReport, ObjectReport
 from followthrough.blender.groups import (
     MASS_GROUP,
     PINS_GROUP,

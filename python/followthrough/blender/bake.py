@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from followthrough.blender import modes, shape_keys
+from followthrough.blender.bake_report import BakeReport, ObjectReport
 from followthrough.blender.groups import PaintGroups, read_paint
 from followthrough.blender.rig_reading import PoseReader, make_reader, read_surface
 from followthrough.blender.scene import NotBakeableError, require_bakeable
@@ -23,7 +24,7 @@ from followthrough.settings import Settings
 
 @dataclass(frozen=True)
 class ObjectSettings:
-    """How one object is baked: volume and springs, and which vertex groups are read."""
+    """How one object is baked: volume and solver, and which vertex groups are read."""
 
     motion: Settings = field(default_factory=Settings)
     groups: PaintGroups = field(default_factory=PaintGroups)
@@ -57,45 +58,11 @@ class FrameRange:
 
 @dataclass(frozen=True)
 class Progress:
-    """After one step: `done` of `total` frames are simulated, the last of them `frame`."""
+    """After one step: `done` of `total` frames are simulated or under way, the last of them `frame`."""
 
     done: int
     total: int
     frame: int
-
-
-@dataclass(frozen=True)
-class ObjectReport:
-    """What was baked on one object.
-
-    Attributes
-    ----------
-    frames, vertices, tets : int
-    largest_displacement : float
-        Of all vertices and frames, metres in the world.
-    largest_residual : float
-        Largest part of a displacement that no shape key can show because the rig flattens the skin there, metres.
-    sampled : bool
-        True where something other than a plain Armature modifier moves the mesh, and it was sampled by probes.
-    """
-
-    name: str
-    frames: int
-    vertices: int
-    tets: int
-    largest_displacement: float
-    largest_residual: float
-    sampled: bool
-
-
-@dataclass(frozen=True)
-class BakeReport:
-    """What was baked, and how long it took, from the making of the volumes to the last key."""
-
-    objects: tuple[ObjectReport, ...]
-    start: int
-    end: int
-    seconds: float
 
 
 @dataclass
@@ -108,6 +75,7 @@ class _Character:
     offsets: NDArray[np.float32]
     largest_displacement: float = 0.0
     largest_residual: float = 0.0
+    unconverged: set[int] = field(default_factory=set)
 
 
 class Bake:
@@ -155,6 +123,7 @@ class Bake:
         self._restore: list[Callable[[], None]] = []
         self._modes: dict[str, str] = {}
         self._complete = self._closed = False
+        self._characters: list[_Character] = []
         try:
             self._prepare(scene, objects, frames)
         except BaseException:
@@ -166,10 +135,16 @@ class Bake:
         """Number of frames to simulate, pre-roll and cycles included."""
         return len(self._schedule)
 
-    def run(self) -> Iterator[Progress]:
+    def run(self, patience: float | None = None) -> Iterator[Progress]:
         """Simulate, one frame a step. Leaving the loop early cancels.
 
         While the core simulates a frame on a thread of its own, Blender already evaluates the next one in this thread.
+
+        Parameters
+        ----------
+        patience
+            Where a frame takes longer than so many seconds, the same progress comes again, so that the caller can look
+            after other things. None: every frame comes once.
 
         Raises
         ------
@@ -180,7 +155,7 @@ class Bake:
         if self._closed or self._complete:
             raise RuntimeError("run: this bake has already been run")
         try:
-            yield from self._steps()
+            yield from self._steps(patience)
         finally:
             if not self._complete:
                 self.cancel()
@@ -218,6 +193,8 @@ class Bake:
         if self._closed:
             return
         self._closed = True
+        for character in self._characters:
+            character.motion.abandon()
         self._put_back()
         modes.enter_modes(self._modes)
         self._back_to_frame()
@@ -231,11 +208,12 @@ class Bake:
             if deformation.armature is None:
                 self._switch_off(obj, deformation.behind)
         scene.frame_set(self.start)
-        self._characters = []
         for name, settings in objects.items():
             obj = bpy.data.objects[name]
             surface = read_surface(obj)
-            motion = SecondaryMotion(surface, read_paint(obj, surface, settings.groups), settings.motion, self._dt)
+            paint = read_paint(obj, surface, settings.groups)
+            with _told_apart(f"Object '{name}'"):
+                motion = SecondaryMotion(surface, paint, settings.motion, self._dt)
             offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
             self._characters.append(_Character(name, motion, make_reader(obj, deformations[name], surface), offsets))
         self._schedule = self._make_schedule(frames)
@@ -252,42 +230,54 @@ class Bake:
             self._after = self.start + int(closed)
         return schedule + [(frame, True) for frame in range(self.start, self.end + 1)]
 
-    def _steps(self) -> Iterator[Progress]:
+    def _steps(self, patience: float | None) -> Iterator[Progress]:
         following = [frame for frame, _ in self._schedule[1:]] + [self._after]
         poses: list[Pose] = self._read(self._schedule[0][0])
         for character, pose in zip(self._characters, poses, strict=True):
-            with _told_apart(character.name, self._schedule[0][0]):
+            with _told_apart(f"Object '{character.name}', frame {self._schedule[0][0]}"):
                 character.motion.reset(pose)
-        under_way = False
-        for done, ((frame, keyed), next_frame) in enumerate(zip(self._schedule, following, strict=True)):
+        under_way: Progress | None = None
+        for done, ((frame, _), next_frame) in enumerate(zip(self._schedule, following, strict=True)):
             next_poses = None if next_frame is None else self._read(next_frame)
-            if under_way:
+            if under_way is not None:
+                yield from self._wait(under_way, patience)
                 self._collect(*self._schedule[done - 1])
+            progress = Progress(done=done + 1, total=self.total, frame=frame)
             if done:
                 self._begin(frame, poses, next_poses)
-                under_way = True
+                under_way = progress
             if next_poses is not None:
                 poses = next_poses
-            if done + 1 == self.total:
-                if under_way:
-                    self._collect(frame, keyed)
-                self._complete = True
-            yield Progress(done=done + 1, total=self.total, frame=frame)
+            if done + 1 < self.total:
+                yield progress
+        if under_way is not None:
+            yield from self._wait(under_way, patience)
+            self._collect(*self._schedule[-1])
+        self._complete = True
+        yield progress
+
+    def _wait(self, under_way: Progress, patience: float | None) -> Iterator[Progress]:
+        if patience is not None:
+            for character in self._characters:
+                while not character.motion.wait(patience):
+                    yield under_way
 
     def _begin(self, frame: int, poses: list[Pose], following: list[Pose] | None) -> None:
         """Start a frame of all objects; the core works on it while Blender evaluates the next one here."""
         for index, character in enumerate(self._characters):
-            with _told_apart(character.name, frame):
+            with _told_apart(f"Object '{character.name}', frame {frame}"):
                 character.motion.begin(poses[index], None if following is None else following[index])
 
     def _collect(self, frame: int, keyed: bool) -> None:
         for character in self._characters:
-            with _told_apart(character.name, frame):
+            with _told_apart(f"Object '{character.name}', frame {frame}"):
                 result = character.motion.finish()
                 with np.errstate(over="ignore"):  # told below
                     offsets = result.offsets.astype(np.float32)
                 if not np.isfinite(offsets).all():
                     raise ValueError("the motion is no longer finite")
+            if not result.converged and character.motion.settings.simulation.quality != "preview":
+                character.unconverged.add(frame)
             if keyed:
                 character.offsets[frame - self.start] = offsets
                 character.largest_displacement = max(character.largest_displacement, result.largest_displacement)
@@ -359,16 +349,18 @@ class Bake:
             largest_displacement=character.largest_displacement,
             largest_residual=character.largest_residual,
             sampled=volume.surface.rig is None,
+            loose_vertices=character.motion.loose_vertex_count,
+            unconverged=tuple(sorted(character.unconverged)),
         )
 
 
 @contextmanager
-def _told_apart(name: str, frame: int) -> Iterator[None]:
-    """Name object and frame in what goes wrong."""
+def _told_apart(place: str) -> Iterator[None]:
+    """Say where it is that something goes wrong."""
     try:
         yield
     except ValueError as problem:
-        raise ValueError(f"Object '{name}', frame {frame}: {problem}") from problem
+        raise ValueError(f"{place}: {problem}") from problem
 
 
 def _require_visible(name: str, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:

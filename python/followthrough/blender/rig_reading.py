@@ -45,7 +45,14 @@ def read_surface(obj: bpy.types.Object) -> Surface:
         raise NotBakeableError(
             f"{name} has coordinates that are no numbers (NaN or infinity), first at vertex {vertex}"
         )
-    surface = Surface(rest_positions=positions, triangles=triangles, object_scale=_stretch(obj))
+    armature = skeleton_of(obj)
+    scale = _stretch(obj) * (1.0 if armature is None else _shared_bone_scale(armature))
+    surface = Surface(
+        rest_positions=positions,
+        triangles=triangles,
+        object_scale=scale,
+        character_size=None if armature is None else _character_size(obj, armature, positions, scale),
+    )
     return surface if deformation.armature is None else with_skeleton(obj, surface)
 
 
@@ -125,15 +132,12 @@ class BoneReader:
         armature = probes.evaluated(self._armature, view_layer)
         if len(armature.pose.bones) != self._count:
             raise NotBakeableError(f"Object '{self._armature}' has other bones than before: bake again")
-        # Blender stores matrices column by column.
-        channels = np.empty(self._count * 16, dtype=np.float32)
-        armature.pose.bones.foreach_get("matrix_channel", channels)
-        channels = channels.reshape(-1, 4, 4)[self._bones].transpose(0, 2, 1).astype(np.float64)
+        channels = _channels(armature)[self._bones]
         world = _matrix(mesh)
         to_mesh = np.linalg.inv(world) @ _matrix(armature)
         with np.errstate(invalid="ignore", over="ignore"):  # whoever asked for the pose checks it
             matrices = to_mesh @ channels @ np.linalg.inv(to_mesh)
-        return BonePose(bone_matrices=matrices, world=world, armature=to_mesh)
+        return BonePose(bone_matrices=np.asarray(matrices, dtype=np.float64), world=world, armature=to_mesh)
 
 
 def _armature_modifier(obj: bpy.types.Object) -> bpy.types.Modifier | None:
@@ -156,6 +160,37 @@ def _stretch(obj: bpy.types.Object) -> FloatArray:
         )
     stretch: FloatArray = axes.T * stretches @ axes
     return stretch
+
+
+def _shared_bone_scale(armature: bpy.types.Object) -> float:
+    """How much larger than at rest the pose makes the whole character, by its deforming bones' volumes.
+
+    A few bones that squash and stretch do not count, a scaled root does.
+    """
+    deforming = [index for index, bone in enumerate(armature.pose.bones) if bone.bone.use_deform]
+    if not deforming:
+        return 1.0
+    volumes = np.abs(np.linalg.det(_channels(armature)[deforming, :3, :3]))
+    scale = float(np.cbrt(np.median(volumes)))
+    return scale if np.isfinite(scale) and scale > 0.0 and abs(scale - 1.0) > 1e-3 else 1.0
+
+
+def _character_size(
+    obj: bpy.types.Object, armature: bpy.types.Object, positions: FloatArray, scale: FloatArray
+) -> float:
+    """Longest side at rest of the mesh and the armature's joints, metres."""
+    joints = [bone.head_local for bone in armature.data.bones if bone.use_deform]
+    to_mesh = np.linalg.inv(_matrix(obj)) @ _matrix(armature)
+    inside = np.array(joints, dtype=np.float64).reshape(-1, 3) @ to_mesh[:3, :3].T + to_mesh[:3, 3]
+    return float(np.ptp(np.concatenate([positions, inside]) @ scale.T, axis=0).max())
+
+
+def _channels(armature: bpy.types.Object) -> FloatArray:
+    """From rest to pose in the armature's space, (b, 4, 4), of all its bones."""
+    # Blender stores matrices column by column.
+    channels = np.empty(len(armature.pose.bones) * 16, dtype=np.float32)
+    armature.pose.bones.foreach_get("matrix_channel", channels)
+    return channels.reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
 
 
 def _size(surface: Surface) -> float:

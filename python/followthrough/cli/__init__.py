@@ -34,6 +34,8 @@ COMMANDS = {
     "tetrahedralize": "fill a surface mesh with tetrahedra",
     "simulate": "fill in a sequence's secondary motion with a solver",
     "evaluate": "measure a solver against a sequence's true motion",
+    "benchmark": "time every solver beside its error",
+    "dataset": "make training sequences",
     "bake": "bake a character's secondary motion to shape keys",
 }
 

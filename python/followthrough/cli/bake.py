@@ -15,8 +15,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from followthrough.cli import solver_options
 from followthrough.cli.progress import with_progress
-from followthrough.settings import Settings, SpringSettings, VolumeSettings
+from followthrough.elastic import QUALITIES
+from followthrough.settings import SOLVERS, Settings, SimulationSettings, SpringSettings, VolumeSettings
 
 if TYPE_CHECKING:
     import bpy
@@ -32,7 +34,7 @@ _NO_BLENDER = (
 
 def add_parser(subparsers: Any) -> None:
     """Add the command's arguments."""
-    springs, volume = SpringSettings(), VolumeSettings()
+    volume = VolumeSettings()
     parser = subparsers.add_parser(
         "bake",
         help="bake a character's secondary motion to shape keys",
@@ -78,24 +80,13 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--method", choices=("voxel", "tetgen"), default=volume.method, help="kind of volume (default %(default)s)"
     )
-    parser.add_argument("--solver", choices=("springs",), default="springs", help="dynamics (default %(default)s)")
     parser.add_argument(
-        "--stiffness",
-        metavar="KS or LOW:HIGH",
-        type=_stiffness,
-        default=springs.stiffness_range,
-        help="spring stiffness, 1/s²: one for all, or those of paint 0 and 1 "
-        f"(default {springs.stiffness_range[0]:g}:{springs.stiffness_range[1]:g})",
+        "--solver",
+        metavar="NAME",
+        default=SOLVERS[0],
+        help=f"dynamics: {SOLVERS[0]} (default), or {SOLVERS[1]}: simulated flesh, finite elements",
     )
-    damping = parser.add_mutually_exclusive_group()
-    damping.add_argument("--damping", metavar="KD", type=float, help="spring damping, 1/s, the same everywhere")
-    damping.add_argument(
-        "--damping-ratio",
-        metavar="Z",
-        type=float,
-        default=springs.damping_ratio,
-        help="share of critical damping (default %(default)s)",
-    )
+    _add_solver_arguments(parser)
     parser.add_argument(
         "--pin-groups",
         metavar="NAME[:STRENGTH]",
@@ -107,12 +98,82 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
+def _add_solver_arguments(parser: argparse.ArgumentParser) -> None:
+    springs, flesh = SpringSettings(), SimulationSettings()
+    parser.add_argument(
+        "--damping-ratio",
+        metavar="Z",
+        type=float,
+        help=f"share of critical damping (default {springs.damping_ratio:g}; of implicit-euler {flesh.damping_ratio:g}, "
+        "beside what backward Euler damps by itself)",
+    )
+    group = parser.add_argument_group("springs")
+    group.add_argument(
+        "--stiffness",
+        metavar="KS or LOW:HIGH",
+        type=_range,
+        help="spring stiffness, 1/s²: one for all, or those of paint 0 and 1 "
+        f"(default {springs.stiffness_range[0]:g}:{springs.stiffness_range[1]:g})",
+    )
+    group.add_argument("--damping", metavar="KD", type=float, help="spring damping, 1/s, the same everywhere")
+    group = parser.add_argument_group("implicit-euler")
+    group.add_argument(
+        "--youngs-modulus",
+        metavar="E or LOW:HIGH",
+        type=_range,
+        help="of a character 1 m long, Pa: one for all, or those of paint 0 and 1; other sizes by their square "
+        f"(default {flesh.youngs_modulus_range[0]:g}:{flesh.youngs_modulus_range[1]:g})",
+    )
+    group.add_argument(
+        "--density",
+        metavar="RHO or LOW:HIGH",
+        type=_range,
+        help="kg/m³: one for all, or those of paint 0 and 1 "
+        f"(default {flesh.density_range[0]:g}:{flesh.density_range[1]:g})",
+    )
+    group.add_argument(
+        "--gravity",
+        metavar="G",
+        type=float,
+        help=f"downwards, m/s² for a character 1 m long (default {flesh.gravity:g})",
+    )
+    group.add_argument("--quality", choices=QUALITIES, help=f"how exact a frame is (default {flesh.quality})")
+
+
+#: Solver -> the options that it has.
+_OPTIONS = {
+    "springs": ("stiffness", "damping", "damping_ratio"),
+    "implicit-euler": ("youngs_modulus", "density", "gravity", "quality", "damping_ratio"),
+}
+
+
+def _motion_settings(args: argparse.Namespace) -> Settings:
+    solver_options.check_owners(args, _OPTIONS)
+    if args.damping is not None and args.damping_ratio is not None:
+        raise ValueError("--damping: found together with --damping-ratio, expected one of them")
+    springs = {"stiffness_range": args.stiffness, "damping": args.damping}
+    flesh = {
+        "youngs_modulus_range": args.youngs_modulus,
+        "density_range": args.density,
+        "gravity": args.gravity,
+        "quality": args.quality,
+    }
+    (springs if args.solver == "springs" else flesh)["damping_ratio"] = args.damping_ratio
+    return Settings(
+        volume=VolumeSettings(cells=args.cells, split_parts=not args.no_split_parts, method=args.method),
+        solver=args.solver,
+        springs=SpringSettings(**_given(springs)),
+        simulation=SimulationSettings(**_given(flesh)),
+    )
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}
+
+
 def run(args: argparse.Namespace) -> int:
     """Do it."""
-    motion = Settings(
-        volume=VolumeSettings(cells=args.cells, split_parts=not args.no_split_parts, method=args.method),
-        springs=SpringSettings(stiffness_range=args.stiffness, damping_ratio=args.damping_ratio, damping=args.damping),
-    )
+    motion = _motion_settings(args)
     try:
         import bpy
     except ImportError as problem:
@@ -219,7 +280,7 @@ def _bake(scene: bpy.types.Scene, objects: dict[str, ObjectSettings], frames: Fr
 
 
 class _Steps:
-    """The bake's steps with their number, which a progress bar asks for."""
+    """The bake's frames with their number, which a progress bar asks for."""
 
     def __init__(self, bake: Any) -> None:
         self._bake = bake
@@ -228,7 +289,11 @@ class _Steps:
         return int(self._bake.total)
 
     def __iter__(self) -> Any:
-        return self._bake.run()
+        done = 0
+        for progress in self._bake.run(patience=0.1):  # so that an interrupt is heard within a long frame
+            if progress.done > done:
+                done = progress.done
+                yield progress
 
 
 def _print_report(report: BakeReport) -> None:
@@ -238,10 +303,12 @@ def _print_report(report: BakeReport) -> None:
             f"largest displacement {entry.largest_displacement:.4g} m, largest residual {entry.largest_residual:.2g} m"
             f"{', sampled by probes' if entry.sampled else ''}"
         )
+        for warning in entry.warnings:
+            print(f"followthrough: warning: {warning}", file=sys.stderr)
     print(f"baked in {report.seconds:.1f} s")
 
 
-def _stiffness(text: str) -> tuple[float, float]:
+def _range(text: str) -> tuple[float, float]:
     low, _, high = text.partition(":")
     try:
         return float(low), float(high or low)

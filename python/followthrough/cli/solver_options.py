@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -82,16 +83,22 @@ def check(args: argparse.Namespace) -> None:
     ValueError
         Naming the option.
     """
-    if args.solver not in OPTIONS:
-        raise ValueError(f"--solver: {args.solver} is not a solver, expected {' or '.join(OPTIONS)}")
-    for name in sorted({name for names in OPTIONS.values() for name in names} - set(OPTIONS[args.solver])):
-        if getattr(args, name) is not None:
-            owners = " or ".join(solver for solver, names in OPTIONS.items() if name in names)
-            raise ValueError(f"--{name}: found together with --solver {args.solver}, expected only with {owners}")
+    check_owners(args, OPTIONS)
     if args.springs is not None and (args.stiffness is not None or args.damping is not None):
         raise ValueError(
             "--springs: found together with --stiffness or --damping, expected either the file or the numbers"
         )
+
+
+def check_owners(args: argparse.Namespace, options: Mapping[str, tuple[str, ...]]) -> None:
+    """Refuse a solver that has no entry in `options`, and options that only others have."""
+    if args.solver not in options:
+        raise ValueError(f"--solver: {args.solver} is not a solver, expected {' or '.join(options)}")
+    for name in sorted({name for names in options.values() for name in names} - set(options[args.solver])):
+        if getattr(args, name) is not None:
+            owners = " or ".join(solver for solver, names in options.items() if name in names)
+            flag = name.replace("_", "-")
+            raise ValueError(f"--{flag}: found together with --solver {args.solver}, expected only with {owners}")
 
 
 def make_solver(sequence: Sequence, args: argparse.Namespace) -> Solver:

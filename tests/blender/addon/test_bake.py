@@ -58,6 +58,26 @@ def test_bake_writes_a_key_a_frame(painted: bpy.types.Object) -> None:
     assert bpy.context.scene.frame_current == 3
 
 
+def test_simulation_is_the_other_solver_of_the_same_bake(painted: bpy.types.Object) -> None:
+    bpy.ops.followthrough.bake()
+    springs = points(painted)
+    painted.followthrough.solver = "implicit-euler"
+    assert bpy.ops.followthrough.bake() == {"FINISHED"}
+    assert points(painted).shape == springs.shape
+    assert np.abs(points(painted) - points(painted)[0]).max() > 1e-3
+    assert np.abs(points(painted) - springs).max() > 1e-3
+
+
+def test_flesh_that_nothing_holds_is_an_error_in_words(painted: bpy.types.Object) -> None:
+    settings = painted.followthrough
+    settings.solver = "implicit-euler"
+    settings.cells = 2  # so coarse that no vertex is inside, where the bones would hold it
+    settings.pin_groups.clear()
+    with pytest.raises(RuntimeError, match=r"Column.*paint pins where the character follows its bones"):
+        bpy.ops.followthrough.bake()
+    assert keys(painted) == []
+
+
 def test_what_is_baked_plays(painted: bpy.types.Object) -> None:
     """With the keys, the evaluated mesh is elsewhere than the armature alone puts it."""
     bpy.ops.followthrough.bake()
@@ -207,8 +227,8 @@ def test_an_error_halfway_is_reported_and_restores(
     before = contents()
     frames = addon.bake.session.Bake.run
 
-    def breaks(self: Any) -> Any:
-        for progress in frames(self):
+    def breaks(self: Any, **options: Any) -> Any:
+        for progress in frames(self, **options):
             yield progress
             if progress.done == 3:
                 raise ValueError("Column: frame 3 is not finite")

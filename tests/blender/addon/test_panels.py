@@ -30,7 +30,8 @@ class RecordingLayout:
             assert set(named) <= set(parameters.keys()), (name, named)
             icons = parameters["icon"].enum_items if "icon" in parameters else {}
             assert "icon" not in named or named["icon"] in icons, named
-            self.texts.append(named.get("text", ""))
+            label = positional[0].bl_rna.properties[positional[1]].name if name == "prop" else ""
+            self.texts.append(named.get("text", label))
             self.icons.append(named.get("icon", "NONE"))
             if name in {"prop", "prop_search"}:
                 assert positional[1] in positional[0].bl_rna.properties, positional
@@ -102,6 +103,20 @@ def test_a_linked_mesh(addon: ModuleType, painted: bpy.types.Object, tmp_path: A
 def test_painting_shows_what_the_values_mean(addon: ModuleType, painted: bpy.types.Object, target: str) -> None:
     bpy.ops.followthrough.paint(target=target)
     assert addon.painting.paint.MEANINGS[target] in draw(addon)["Paint"]
+
+
+def test_every_solver_shows_its_own_settings(addon: ModuleType, painted: bpy.types.Object) -> None:
+    springs = draw(addon)["Motion"]
+    assert springs[-1] == "Damping"
+    assert "Gravity" not in springs
+    painted.followthrough.solver = "implicit-euler"
+    simulation = draw(addon)["Motion"]
+    assert [text for text in simulation if text not in springs] == [
+        "Softest (kPa)",
+        "Stiffest (kPa)",
+        "Gravity",
+        "Quality",
+    ]
 
 
 def test_every_choice_of_frames(addon: ModuleType, painted: bpy.types.Object) -> None:

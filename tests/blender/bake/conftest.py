@@ -69,13 +69,13 @@ class Character:
             block.mute = False
         return positions
 
-    def displacements(self, start: int, end: int) -> list[NDArray[np.float64]]:
-        """What the usual settings give in every frame, simulated step by step beside the bake."""
+    def displacements(self, start: int, end: int, settings: Settings = COARSE) -> list[NDArray[np.float64]]:
+        """What these settings give in every frame, simulated step by step beside the bake."""
         scene = bpy.context.scene
         scene.frame_set(start)
         surface = read_surface(self.mesh)
         paint = read_paint(self.mesh, surface)
-        motion = SecondaryMotion(surface, paint, COARSE, scene.render.fps_base / scene.render.fps)
+        motion = SecondaryMotion(surface, paint, settings, scene.render.fps_base / scene.render.fps)
         reader = make_reader(self.mesh, require_bakeable(self.mesh), surface)
         poses = []
         for frame in range(start, end + 1):

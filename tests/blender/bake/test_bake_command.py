@@ -158,6 +158,25 @@ def test_options_reach_the_bake(character, tmp_path, capfd):
     assert largest("--stiffness-group", "Belt", "--mass-group", "Belt", "--no-split-parts") > 0.0
 
 
+def test_options_of_the_simulation_reach_the_bake(character, tmp_path, capfd):
+    source, target = save(tmp_path / "in.blend"), tmp_path / "out.blend"
+    command = ["bake", str(source), "-o", str(target), "--solver", "implicit-euler", *QUICK]
+
+    def largest(*options):
+        assert main([*command, *options]) == 0
+        line = next(line for line in capfd.readouterr().out.splitlines() if line.startswith("Creature:"))
+        return float(line.split("largest displacement ")[1].split()[0])
+
+    usual = largest()
+    assert usual > largest("--youngs-modulus", "5e4:1e6") > 0.0
+    assert largest("--youngs-modulus", "300") > usual
+    assert largest("--density", "2000:8000") > usual
+    assert largest("--damping-ratio", "2") < usual
+    assert largest("--gravity", "9.81") != usual
+    assert largest("--quality", "converged") == pytest.approx(usual, rel=0.1)
+    assert largest("--quality", "preview") > 0.0
+
+
 def fails(capfd, arguments, message):
     assert main(["bake", *map(str, arguments), *QUICK]) == 2
     captured = capfd.readouterr()
@@ -199,6 +218,14 @@ def test_bad_choices_are_refused(character, tmp_path, capfd):
     fails(capfd, [source, "-o", target, "--stiffness", "5:1"], "low <= high")
     fails(capfd, [source, "-o", target, "--stiffness", "0"], "0 < low")
     fails(capfd, [source, "-o", target, "--damping", "nan"], "finite")
+    fails(capfd, [source, "-o", target, "--damping", "3", "--damping-ratio", "0.3"], "expected one of them")
+    fails(capfd, [source, "-o", target, "--solver", "magic"], "expected springs or implicit-euler")
+    fails(capfd, [source, "-o", target, "--youngs-modulus", "5"], "expected only with implicit-euler")
+    flesh = [source, "-o", target, "--solver", "implicit-euler"]
+    fails(capfd, [*flesh, "--stiffness", "5"], "expected only with springs")
+    fails(capfd, [*flesh, "--youngs-modulus", "5:1"], "youngs_modulus_range: found 5 to 1")
+    fails(capfd, [*flesh, "--density", "0"], "0 < low")
+    fails(capfd, [*flesh, "--gravity", "inf"], "finite")
     assert not target.exists()
 
 

@@ -3,8 +3,10 @@
 #include <omp.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <memory>
+#include <thread>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -145,6 +147,46 @@ TEST_CASE("a frame on a thread of its own is the same frame, to the bit, whateve
   omp_set_num_threads(threads);
   REQUIRE(results[0].size() == results[1].size());
   for (std::size_t i = 0; i < results[0].size(); ++i) CHECK(results[0][i] == results[1][i]);
+}
+
+namespace {
+
+/// Takes its time, on as many threads as it may.
+class SlowSolver final : public Solver {
+ public:
+  explicit SlowSolver(Eigen::Index count) : positions_(count, 3) {}
+  Eigen::Index vertex_count() const override { return positions_.rows(); }
+  void reset(ConstPositions reference) override { positions_ = reference; }
+  const Positions& step(ConstPositions reference, const Positions*) override {
+    std::this_thread::sleep_for(std::chrono::milliseconds(60));
+    threads = omp_get_max_threads();
+    positions_ = reference;
+    return positions_;
+  }
+  SolverState state() const override { return {}; }
+  void restore(const SolverState&) override {}
+  int threads = 0;
+
+ private:
+  Positions positions_;
+};
+
+}  // namespace
+
+TEST_CASE("a long frame can be waited for a little at a time, and has the threads that it was promised") {
+  const Box box;
+  for (const int threads : {1, 3}) {
+    SlowSolver solver(box.volume.vertices.rows());
+    RiggedMotion motion(box.character, solver, threads);
+    CHECK(motion.wait(0.0));  // nothing is under way
+    motion.reset(pose_at(0));
+    motion.begin(pose_at(1), nullptr);
+    CHECK_FALSE(motion.wait(0.001));
+    while (!motion.wait(0.01)) {
+    }
+    CHECK(motion.finish().offsets.isZero(1e-12));
+    CHECK(solver.threads == threads);
+  }
 }
 
 TEST_CASE("bad poses and calls out of order are refused, also from the other thread, and the motion goes on") {

@@ -46,8 +46,9 @@ struct MotionFrame {
 class RiggedMotion {
  public:
   /// @param solver for the volume's vertices in the world; must outlive this
+  /// @param threads that `begin` works with; 0: as many as there are. Where frames are short, one leaves the others to the caller
   /// @throws InvalidInput on arrays that do not fit each other
-  RiggedMotion(RiggedCharacter character, Solver& solver);
+  RiggedMotion(RiggedCharacter character, Solver& solver, int threads = 1);
   ~RiggedMotion();
   RiggedMotion(const RiggedMotion&) = delete;
   RiggedMotion& operator=(const RiggedMotion&) = delete;
@@ -65,6 +66,11 @@ class RiggedMotion {
   /// @throws InvalidInput where one is under way already
   void begin(const RigPose& pose, std::unique_ptr<RigPose> next);
 
+  /// @brief Waits for the frame under way, so long at most.
+  /// @param seconds 0 or more
+  /// @return whether `finish` would no longer wait
+  bool wait(double seconds);
+
   /// @return what `step` returns, bit for bit
   /// @throws what `step` throws, and InvalidInput where none was begun
   MotionFrame finish();
@@ -77,6 +83,7 @@ class RiggedMotion {
 
   RiggedCharacter character_;
   Solver& solver_;
+  int threads_;
   RigPose ahead_pose_;
   Positions ahead_reference_;  // of ahead_pose_, no rows: none
   std::unique_ptr<Worker> worker_;
