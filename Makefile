@@ -11,7 +11,7 @@ CPP_FILES := $(shell find cpp tests/cpp examples/cpp -name '*.cpp' -o -name '*.h
 DEMO_OUTPUT ?= demo-output
 BENCH_ARGS ?=
 
-.PHONY: help setup demo test test-cpp test-python test-blender test-blender-versions bench bench-bake lint format types tidy sanitize extension wheel clean
+.PHONY: help setup demo test test-cpp test-python test-slow test-blender test-blender-versions bench bench-bake lint format types tidy sanitize extension wheel clean
 
 help: ## List the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 24
@@ -42,6 +42,9 @@ test-cpp: $(VENV)/.tools
 
 test-python: setup
 	@$(PY) -m pytest tests/python
+
+test-slow: setup ## Tests that take minutes: ten thousand frames of violence for every quality of the elastic solvers
+	@$(PY) -m pytest -m slow tests/python
 
 test-blender: setup
 	@$(PY) tools/require_bpy.py

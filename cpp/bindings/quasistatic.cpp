@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-#include "followthrough/quasistatic/quasistatic.hpp"
-
 #include <pybind11/eigen.h>
 
 #include "bindings.hpp"
+#include "followthrough/quasistatic/over_quasistatic.hpp"
 
 namespace py = pybind11;
 
@@ -40,6 +39,12 @@ void bind_quasistatic(py::module_& m) {
             return array_of(*found);
           },
           py::arg("reference"), "Equilibrium (n, 3) of a pose, m.");
+
+  py::class_<OverQuasistatic, Solver>(m, "OverQuasistatic",
+                                      "A solver over static equilibria. Use followthrough.quasistatic.OverQuasistatic.")
+      .def(py::init<Quasistatic&, Solver*>(), py::arg("layer"), py::arg("solver") = py::none(), py::keep_alive<1, 2>(),
+           py::keep_alive<1, 3>())
+      .def_property_readonly("last_solve", &OverQuasistatic::last_solve);
 }
 
 }  // namespace followthrough

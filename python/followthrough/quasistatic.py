@@ -9,13 +9,14 @@ from numpy.typing import ArrayLike
 from followthrough import _core, array_checks
 from followthrough.character import FloatArray
 from followthrough.elastic import QUALITIES, ElasticBody, Quality, StepReport
+from followthrough.solver import Solver, SolverState
 
 
 class Quasistatic:
     """Maps a pose to where flesh rests in it: constrained vertices follow the reference, elasticity, pins and gravity cancel.
 
     No solver: it has no time and no velocity. It improves a reference, and any solver may then run on top
-    (`QuasistaticLayer`).
+    (`OverQuasistatic`).
 
     Parameters
     ----------
@@ -101,5 +102,50 @@ class Quasistatic:
     @property
     def last_solve(self) -> StepReport:
         """How the last search went; the residual is relative to the forces that hold the body."""
-        last = self._core.last_solve
-        return StepReport(last.converged, last.iterations, last.linear_iterations, last.residual)
+        return StepReport.of(self._core.last_solve)
+
+
+class OverQuasistatic(Solver):
+    """Any solver on top of static equilibria: it follows each pose's equilibrium instead of the skinned positions.
+
+    The state's arrays are the solver's, the equilibrium of the last frame, the one that was found last (of the frame ahead, where
+    that is known) and its reference.
+
+    Parameters
+    ----------
+    layer
+        Finds the equilibria; this one's alone from now on.
+    solver
+        Of as many vertices, this one's alone too. None: the equilibria themselves are the motion.
+
+    Raises
+    ------
+    ValueError
+        Where the numbers of vertices differ.
+    """
+
+    def __init__(self, layer: Quasistatic, solver: Solver | None = None) -> None:
+        self.layer = layer
+        self.solver = solver
+        super().__init__(_core.OverQuasistatic(layer._core, None if solver is None else solver.core))
+
+    @property
+    def last_solve(self) -> StepReport:
+        """How the search for the last frame's equilibrium went."""
+        return StepReport.of(self._core.last_solve)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the last frame's equilibrium was reached, and the solver on top has converged."""
+        return self.last_solve.converged and (self.solver is None or self.solver.converged)
+
+    def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
+        """Continue after frames (t + 1, n, 3) that are known, t 0 or more: their last ones become the state."""
+        self.layer.forget()
+        rests = np.array([self.layer.solve(pose) for pose in reference[-2:]])
+        arrays: tuple[FloatArray, ...] = ()
+        if self.solver is not None:
+            self.solver.resume(dynamic[-2:], rests)
+            arrays = self.solver.state().arrays
+        last = array_checks.positions("reference", reference[-1])
+        self.restore(SolverState((*arrays, rests[-1], rests[-1], last), len(dynamic) - 1))

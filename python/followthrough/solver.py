@@ -86,6 +86,11 @@ class Solver(ABC):
         positions: FloatArray = self._core.step(array_checks.positions("reference", reference), after)
         return positions
 
+    @property
+    def converged(self) -> bool:
+        """Whether the last step is as exact as it was asked to be: true where a solver does not iterate."""
+        return True
+
     @abstractmethod
     def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
         """Continue after frames (t + 1, n, 3) that are known, t 0 or more: their last ones become the state."""

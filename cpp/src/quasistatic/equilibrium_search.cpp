@@ -69,15 +69,10 @@ Trial Search::evaluate(Positions positions) const {
     }
     const Eigen::RowVector3d lag = positions.row(v) - reference_.row(v);
     const Eigen::RowVector3d weight = p_.body.lumped_mass()[v] * p_.forces.gravity.transpose();
-    Eigen::RowVector3d force = elastic.row(v) - weight;
-    trial.energy -= weight.dot(lag);
-    holding += weight.squaredNorm();
-    if (p_.forces.pin_stiffness.size() > 0) {
-      const Eigen::RowVector3d pull = p_.forces.pin_stiffness[v] * lag;
-      trial.energy += 0.5 * pull.dot(lag);
-      holding += pull.squaredNorm();
-      force += pull;
-    }
+    const Eigen::RowVector3d pull = p_.forces.pin_stiffness[v] * lag;
+    const Eigen::RowVector3d force = elastic.row(v) + pull - weight;
+    trial.energy += (0.5 * pull - weight).dot(lag);
+    holding += pull.squaredNorm() + weight.squaredNorm();
     trial.residual.segment<3>(3 * row) = force.transpose();
     trial.size += force.squaredNorm() / p_.rest_stiffness[row];
     left += force.squaredNorm();
@@ -96,9 +91,7 @@ Trial Search::start(const Positions* carried) const {
   Trial best = evaluate(reference_);
   if (!carried) return best;
   Positions positions = reference_;
-  for (std::size_t row = 0; row < p_.free.size(); ++row) {
-    if (!p_.loose[row]) positions.row(p_.free[row]) = carried->row(p_.free[row]);
-  }
+  for (const Index v : p_.free) positions.row(v) = carried->row(v);
   Trial trial = evaluate(std::move(positions));
   const bool better = trial.finite() && !(best.energy <= trial.energy);
   return better ? trial : best;

@@ -16,9 +16,8 @@ struct EquilibriumProblem {
   ElasticBody body;  ///< the tets that have a free vertex: the others pull at nothing that moves
   std::shared_ptr<const Material> material;
   EquilibriumSettings settings;
-  StaticForces forces;
+  StaticForces forces;            ///< pin_stiffness always (n,)
   std::vector<Index> rows, free;  ///< row of every vertex or -1; vertex of every row
-  std::vector<bool> loose;        ///< of every row: in a part of the body that nothing holds
   Vector rest_stiffness;          ///< of every row, pins included, N/m
   BlockMatrix pins, matrix;
   BlockPreconditioner preconditioner;

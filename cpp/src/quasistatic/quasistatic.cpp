@@ -12,6 +12,9 @@
 namespace followthrough {
 namespace {
 
+// Stiffness, beside its own at rest, of the springs to the reference that a vertex has in a part of the body that nothing holds.
+constexpr double loose_hold = 1e-5;
+
 void require_valid(const EquilibriumSettings& settings, const StaticForces& forces, Eigen::Index count) {
   if (!(std::isfinite(settings.tolerance) && settings.tolerance > 0)) {
     throw InvalidInput("tolerance", "found " + std::to_string(settings.tolerance) + ", expected a finite number above 0");
@@ -59,8 +62,9 @@ EquilibriumProblem pose_problem(const ElasticBody& body, std::shared_ptr<const M
   const std::vector<bool> loose_vertex = loose_vertices(around, constrained, forces);
   const Vector alone = around.rest_stiffness();
   BlockMatrix pins(around.corners(), rows);
+  StaticForces all = forces;
+  if (all.pin_stiffness.size() == 0) all.pin_stiffness.setZero(count);
   Vector rest_stiffness(static_cast<Eigen::Index>(free.size()));
-  std::vector<bool> loose;
   for (Eigen::Index row = 0; row < rest_stiffness.size(); ++row) {
     const Index v = free[row];
     if (loose_vertex[v] && !forces.gravity.isZero(0)) {
@@ -68,15 +72,14 @@ EquilibriumProblem pose_problem(const ElasticBody& body, std::shared_ptr<const M
                                             " in a part of the body that nothing holds, expected a constrained vertex or a soft "
                                             "pin in every part: gravity leaves the others without an equilibrium");
     }
-    loose.push_back(loose_vertex[v]);
-    const double pin = forces.pin_stiffness.size() > 0 ? forces.pin_stiffness[v] : 0;
+    double& pin = all.pin_stiffness[v];
+    if (loose_vertex[v]) pin = loose_hold * alone[v];
     rest_stiffness[row] = alone[v] + pin;
     pins.add_to_diagonal(row, pin * BlockMatrix::Block::Identity());
   }
   BlockMatrix matrix = pins;
-  return {
-      std::move(around),         std::move(material), settings,          forces, std::move(rows), std::move(free), std::move(loose),
-      std::move(rest_stiffness), std::move(pins),     std::move(matrix), {}};
+  return {std::move(around), std::move(material),       settings,        std::move(all),    std::move(rows),
+          std::move(free),   std::move(rest_stiffness), std::move(pins), std::move(matrix), {}};
 }
 
 }  // namespace

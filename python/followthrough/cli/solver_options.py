@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from followthrough.elastic import MATERIALS, QUALITIES, CentralDifferences, ElasticBody, ImplicitEuler, Quality
+from followthrough.elastic import MATERIALS, QUALITIES, CentralDifferences, ElasticBody, ImplicitEuler
+from followthrough.quasistatic import OverQuasistatic, Quasistatic
 from followthrough.simulation import DEFAULT_DAMPING_RATIO, DEFAULT_STIFFNESS, load_constants, uniform_constants
 from followthrough.springs import Springs
 
@@ -20,9 +21,10 @@ if TYPE_CHECKING:
 
 #: Solver -> the options that it has.
 OPTIONS = {
-    "springs": ("springs", "stiffness", "damping"),
-    "implicit-euler": ("quality", "tolerance", "material"),
-    "central-differences": ("substeps", "material"),
+    "springs": ("springs", "stiffness", "damping", "over"),
+    "implicit-euler": ("quality", "tolerance", "material", "gravity"),
+    "central-differences": ("substeps", "material", "gravity"),
+    "quasistatic": ("quality", "tolerance", "material", "gravity"),
 }
 
 
@@ -32,7 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--solver",
         metavar="NAME",
         default="springs",
-        help="springs (default), or finite elements of the sequence's own material: implicit-euler, central-differences",
+        help="springs (default), or finite elements of the sequence's own material: implicit-euler, central-differences, or "
+        "quasistatic (no motion of its own: every frame rests in its pose)",
     )
     springs = parser.add_argument_group("springs")
     springs.add_argument(
@@ -50,17 +53,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         help=f"kd of every vertex, 1/s (default {DEFAULT_DAMPING_RATIO:g} of critical damping, 2 sqrt(ks))",
     )
+    springs.add_argument(
+        "--over",
+        choices=("quasistatic",),
+        help="what the springs hang on: the static equilibrium of each pose, with the options of that solver "
+        "(default: the skinned positions)",
+    )
     elastic = parser.add_argument_group("finite elements")
     elastic.add_argument(
         "--quality",
         choices=QUALITIES,
-        help=f"of implicit-euler: {', '.join(QUALITIES[:-1])} or {QUALITIES[-1]} (default)",
+        help=f"of implicit-euler and quasistatic: {', '.join(QUALITIES[:-1])} or {QUALITIES[-1]} (default)",
     )
     elastic.add_argument(
         "--tolerance",
         metavar="T",
         type=float,
-        help="of implicit-euler: relative residual at which a frame has converged (default: the quality's)",
+        help="of implicit-euler and quasistatic: relative residual at which a frame has converged (default: the quality's)",
     )
     elastic.add_argument(
         "--substeps",
@@ -73,6 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=MATERIALS,
         help=f"{MATERIALS[0]} (default) or {MATERIALS[1]}, linear and without resistance",
     )
+    elastic.add_argument("--gravity", metavar=("X", "Y", "Z"), type=float, nargs=3, help="m/s² (default: none)")
 
 
 def check(args: argparse.Namespace) -> None:
@@ -83,7 +93,8 @@ def check(args: argparse.Namespace) -> None:
     ValueError
         Naming the option.
     """
-    check_owners(args, OPTIONS)
+    over = OPTIONS[args.over] if args.solver == "springs" and args.over is not None else ()
+    check_owners(args, OPTIONS | {"springs": OPTIONS["springs"] + over})
     if args.springs is not None and (args.stiffness is not None or args.damping is not None):
         raise ValueError(
             "--springs: found together with --stiffness or --damping, expected either the file or the numbers"
@@ -110,17 +121,45 @@ def make_solver(sequence: Sequence, args: argparse.Namespace) -> Solver:
         Where sequence and arguments do not make one.
     """
     if args.solver == "springs":
-        if args.springs is not None:
-            stiffness, damping = load_constants(args.springs, sequence.vertex_count)
-        else:
-            stiffness, damping = uniform_constants(sequence.vertex_count, args.stiffness, args.damping)
-        return Springs(stiffness, damping, sequence.dt, sequence.constrained)
+        springs = _make_springs(sequence, args)
+        return springs if args.over is None else OverQuasistatic(_make_layer(sequence, args), springs)
+    if args.solver == "quasistatic":
+        return OverQuasistatic(_make_layer(sequence, args))
+    body, gravity = _make_body(sequence, args), args.gravity or (0.0, 0.0, 0.0)
+    if args.solver == "central-differences":
+        return CentralDifferences(body, sequence.constrained, sequence.dt, substeps=args.substeps, gravity=gravity)
+    return ImplicitEuler(
+        body,
+        sequence.constrained,
+        sequence.dt,
+        quality=args.quality or "converged",
+        tolerance=args.tolerance,
+        gravity=gravity,
+    )
+
+
+def _make_springs(sequence: Sequence, args: argparse.Namespace) -> Springs:
+    if args.springs is not None:
+        stiffness, damping = load_constants(args.springs, sequence.vertex_count)
+    else:
+        stiffness, damping = uniform_constants(sequence.vertex_count, args.stiffness, args.damping)
+    return Springs(stiffness, damping, sequence.dt, sequence.constrained)
+
+
+def _make_layer(sequence: Sequence, args: argparse.Namespace) -> Quasistatic:
+    return Quasistatic(
+        _make_body(sequence, args),
+        sequence.constrained,
+        quality=args.quality or "converged",
+        tolerance=args.tolerance,
+        gravity=args.gravity or (0.0, 0.0, 0.0),
+    )
+
+
+def _make_body(sequence: Sequence, args: argparse.Namespace) -> ElasticBody:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         body = ElasticBody.of_sequence(sequence, args.material or MATERIALS[0])
     for warning in caught:
         print(f"followthrough: warning: {args.sequence}: {warning.message}", file=sys.stderr)
-    if args.solver == "central-differences":
-        return CentralDifferences(body, sequence.constrained, sequence.dt, substeps=args.substeps)
-    quality: Quality = args.quality or "converged"
-    return ImplicitEuler(body, sequence.constrained, sequence.dt, quality=quality, tolerance=args.tolerance)
+    return body
