@@ -25,4 +25,5 @@ PYBIND11_MODULE(_core, m) {
   followthrough::bind_motion(m);
   followthrough::bind_springs(m);
   followthrough::bind_quasistatic(m);
+  followthrough::bind_emulator(m);
 }
