@@ -139,6 +139,11 @@ class OverQuasistatic(Solver):
         """Whether the last frame's equilibrium was reached, and the solver on top has converged."""
         return self.last_solve.converged and (self.solver is None or self.solver.converged)
 
+    def reset(self, reference: ArrayLike) -> FloatArray:
+        """Start over on the reference's equilibrium, which is returned; otherwise as `Solver.reset`."""
+        super().reset(reference)
+        return self.state().arrays[-3]
+
     def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
         """Continue after frames (t + 1, n, 3) that are known, t 0 or more: their last ones become the state."""
         self.layer.forget()

@@ -52,8 +52,7 @@ def simulate(
     """
     reference = sequence.reference
     dynamic = np.empty_like(reference)
-    solver.reset(reference[0])
-    dynamic[0] = solver.state().arrays[0]
+    dynamic[0] = solver.reset(reference[0])
     for frame in frames(range(1, sequence.frame_count)):
         ahead = reference[frame + 1] if frame + 1 < sequence.frame_count else None
         dynamic[frame] = solver.step(reference[frame], ahead)
