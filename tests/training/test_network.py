@@ -15,7 +15,7 @@ from followthrough.emulator_weights import EmulatorWeights, TrainedOn
 from followthrough.sequences import Sequence
 from followthrough.simulation import simulate
 from followthrough.training.network import PatchNetwork, import_state_dict, load_weights, rollout, save_weights
-from followthrough.training.patches import Scene
+from followthrough.training.patches import PatchBatch, Scene
 
 CUBE = ((0, 4, 2, 1), (4, 2, 1, 5), (2, 1, 5, 3), (4, 6, 2, 5), (6, 5, 7, 3), (6, 2, 5, 3))  # bits of a corner: x y z
 CELLS = 3
@@ -133,17 +133,8 @@ def test_frames_and_scenes_can_stand_in_one_batch(sequence: Sequence) -> None:
     network = PatchNetwork()
     scene = Scene.of_sequence(sequence, TrainedOn())
     x = scene.displacements(sequence.reference)
-    count = sequence.vertex_count
     one = [scene.batch(x[[t, t - 1, t - 2]], x[[t + 1, t, t - 1]]) for t in (10, 50)]
-    both = replace(
-        one[0],
-        dynamic=torch.cat([batch.dynamic for batch in one], dim=1),
-        reference=torch.cat([batch.reference for batch in one], dim=1),
-        constrained=one[0].constrained.repeat(2),
-        material=one[0].material.repeat(2, 1),
-        centres=torch.cat([one[0].centres, one[0].centres + count]),
-        neighbours=(torch.cat([ring := one[0].neighbours[0], torch.where(ring < 0, ring, ring + count)]),),
-    )
+    both = PatchBatch.join(one)
     expected = torch.cat([network(batch) for batch in one])
     torch.testing.assert_close(network(both), expected, rtol=0, atol=1e-6)
 

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from followthrough.character import FloatArray, IntArray
 from followthrough.emulator_weights import TrainedOn
@@ -42,6 +43,29 @@ class PatchBatch:
     material: Tensor
     centres: Tensor
     neighbours: tuple[Tensor, ...]
+
+    @classmethod
+    def join(cls, parts: Iterable[PatchBatch]) -> Self:
+        """Batches of as many rings as one, their vertices one after the other."""
+        parts = list(parts)
+        starts = np.cumsum([0, *(len(part.constrained) for part in parts)])
+        rings = []
+        for tables in zip(*(part.neighbours for part in parts), strict=True):
+            width = max(table.shape[1] for table in tables)
+            moved = [
+                torch.where(table < 0, table, table + int(start)) for table, start in zip(tables, starts, strict=False)
+            ]
+            rings.append(
+                torch.cat([nn.functional.pad(table, (0, width - table.shape[1]), value=-1) for table in moved])
+            )
+        return cls(
+            torch.cat([part.dynamic for part in parts], dim=1),
+            torch.cat([part.reference for part in parts], dim=1),
+            torch.cat([part.constrained for part in parts]),
+            torch.cat([part.material for part in parts]),
+            torch.cat([part.centres + int(start) for part, start in zip(parts, starts, strict=False)]),
+            tuple(rings),
+        )
 
     def to(self, device: torch.device | str) -> Self:
         """The same on another device."""
