@@ -152,13 +152,17 @@ def distances_to_segments(points: FloatArray, segments: FloatArray) -> FloatArra
     -------
     (p,) float64, infinite where there is no segment.
     """
+    columns = np.ascontiguousarray(points.T)
     nearest = np.full(len(points), np.inf)
     for head, tail in segments:
         along = tail - head
         length_squared = float(along @ along)
-        t = np.clip((points - head) @ along / length_squared, 0.0, 1.0) if length_squared > 0 else np.zeros(len(points))
-        nearest = np.minimum(nearest, np.linalg.norm(points - head - t[:, None] * along, axis=1))
-    return nearest
+        away = columns - head[:, None]
+        if length_squared > 0:
+            away -= along[:, None] * np.clip((along / length_squared) @ away, 0.0, 1.0)
+        np.minimum(nearest, np.einsum("ij,ij->j", away, away), out=nearest)
+    distances: FloatArray = np.sqrt(nearest)
+    return distances
 
 
 def flesh_thickness(surface: Surface) -> float:

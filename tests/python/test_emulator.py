@@ -175,7 +175,7 @@ def test_weights_files_that_are_not_ours_are_refused(weights: EmulatorWeights, t
         {"followthrough": np.array(json.dumps({"format": 9, "network": "patch", "trained_on": {}, "manifest": {}}))},
         "found format 9",
     )
-    refused({"edge_mlp.0.weight": np.array([{}], dtype=object)}, "edge_mlp.0.weight: found no readable array")
+    refused({"edge_mlp.0.weight": np.array([{}], dtype=object)}, "edge_mlp.0.weight: found Python objects")
     np.savez(path, **good)
     path.write_bytes(path.read_bytes()[:-5000])
     with pytest.raises(ValueError, match=r"no readable \.npz archive"):

@@ -11,7 +11,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from followthrough.elastic import MATERIALS, QUALITIES, CentralDifferences, ElasticBody, ImplicitEuler, Quality
+from followthrough.elastic import (
+    MATERIALS,
+    QUALITIES,
+    CentralDifferences,
+    ElasticBody,
+    ImplicitEuler,
+    MaterialName,
+    Quality,
+)
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights
 from followthrough.simulation import DEFAULT_DAMPING_RATIO, DEFAULT_STIFFNESS, load_constants, uniform_constants
@@ -128,20 +136,43 @@ def make_solver(sequence: Sequence, args: argparse.Namespace) -> Solver:
     ValueError
         Where sequence and arguments do not make one.
     """
+    if args.solver == "emulator":
+        return make_emulator(sequence, args)
     if args.solver == "springs":
+        _require_free_vertex(sequence, args.sequence)
+        if len(sequence.tets):  # springs can do without; but not with some that no other solver takes
+            sound_body(sequence, args.sequence)
         if args.springs is not None:
             stiffness, damping = load_constants(args.springs, sequence.vertex_count)
         else:
             stiffness, damping = uniform_constants(sequence.vertex_count, args.stiffness, args.damping)
         return Springs(stiffness, damping, sequence.dt, sequence.constrained)
-    if args.solver == "emulator":
-        return make_emulator(sequence, args)
-    with _warnings_of(args.sequence):
-        body = ElasticBody.of_sequence(sequence, args.material or MATERIALS[0])
+    body = sound_body(sequence, args.sequence, args.material or MATERIALS[0])
     if args.solver == "central-differences":
         return CentralDifferences(body, sequence.constrained, sequence.dt, substeps=args.substeps)
     quality: Quality = args.quality or "converged"
     return ImplicitEuler(body, sequence.constrained, sequence.dt, quality=quality, tolerance=args.tolerance)
+
+
+def sound_body(sequence: Sequence, path: Path, material: MaterialName = MATERIALS[0]) -> ElasticBody:
+    """The sequence as an elastic body; every solver wants the same of it. Inverted tets are warned of.
+
+    Raises
+    ------
+    ValueError
+        Naming the file, where tets have no volume, there are none, or no vertex is free.
+    """
+    _require_free_vertex(sequence, path)
+    with _warnings_of(path):
+        try:
+            return ElasticBody.of_sequence(sequence, material)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+
+def _require_free_vertex(sequence: Sequence, path: Path) -> None:
+    if sequence.constrained.all():
+        raise ValueError(f"{path}: constrained: found no free vertex, expected at least one")
 
 
 def make_emulator(sequence: Sequence, args: argparse.Namespace) -> Emulator:
@@ -152,6 +183,7 @@ def make_emulator(sequence: Sequence, args: argparse.Namespace) -> Emulator:
             "followthrough dataset and followthrough train, or use simulate --solver implicit-euler instead"
         )
     weights = EmulatorWeights.load(args.weights)
+    sound_body(sequence, args.sequence)
     with _warnings_of(args.sequence):
         return Emulator.of_sequence(sequence, weights, edge_length=args.edge_length)
 
