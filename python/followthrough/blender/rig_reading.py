@@ -133,8 +133,8 @@ class BoneReader:
         if len(armature.pose.bones) != self._count:
             raise NotBakeableError(f"Object '{self._armature}' has other bones than before: bake again")
         channels = _channels(armature)[self._bones]
-        world = _matrix(mesh)
-        to_mesh = np.linalg.inv(world) @ _matrix(armature)
+        world = probes.world_matrix(mesh)
+        to_mesh = np.linalg.inv(world) @ probes.world_matrix(armature)
         with np.errstate(invalid="ignore", over="ignore"):  # whoever asked for the pose checks it
             matrices = to_mesh @ channels @ np.linalg.inv(to_mesh)
         return BonePose(bone_matrices=np.asarray(matrices, dtype=np.float64), world=world, armature=to_mesh)
