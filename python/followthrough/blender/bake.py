@@ -17,6 +17,7 @@ from followthrough.blender.bake_report import BakeReport, ObjectReport
 from followthrough.blender.groups import PaintGroups, read_paint
 from followthrough.blender.rig_reading import PoseReader, make_reader, read_surface
 from followthrough.blender.scene import NotBakeableError, require_bakeable
+from followthrough.blender.vertex_weights import read_weights
 from followthrough.character import BonePose, Pose
 from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings
@@ -73,6 +74,7 @@ class _Character:
     motion: SecondaryMotion
     reader: PoseReader
     offsets: NDArray[np.float32]
+    unkeyed: NDArray[np.float32]
     largest_displacement: float = 0.0
     largest_residual: float = 0.0
     unconverged: set[int] = field(default_factory=set)
@@ -210,12 +212,14 @@ class Bake:
         scene.frame_set(self.start)
         for name, settings in objects.items():
             obj = bpy.data.objects[name]
-            surface = read_surface(obj)
-            paint = read_paint(obj, surface, settings.groups)
+            weights = read_weights(obj)
+            surface = read_surface(obj, weights)
+            paint = read_paint(obj, surface, settings.groups, weights)
             with _told_apart(f"Object '{name}'"):
                 motion = SecondaryMotion(surface, paint, settings.motion, self._dt)
             offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
-            self._characters.append(_Character(name, motion, make_reader(obj, deformations[name], surface), offsets))
+            reader = make_reader(obj, deformations[name], surface)
+            self._characters.append(_Character(name, motion, reader, offsets, unkeyed=np.empty_like(offsets[0])))
         self._schedule = self._make_schedule(frames)
 
     def _make_schedule(self, frames: FrameRange) -> list[tuple[int, bool]]:
@@ -272,14 +276,14 @@ class Bake:
         for character in self._characters:
             with _told_apart(f"Object '{character.name}', frame {frame}"):
                 result = character.motion.finish()
+                offsets = character.offsets[frame - self.start] if keyed else character.unkeyed
                 with np.errstate(over="ignore"):  # told below
-                    offsets = result.offsets.astype(np.float32)
+                    np.copyto(offsets, result.offsets, casting="same_kind")
                 if not np.isfinite(offsets).all():
                     raise ValueError("the motion is no longer finite")
             if not result.converged and character.motion.settings.simulation.quality != "preview":
                 character.unconverged.add(frame)
             if keyed:
-                character.offsets[frame - self.start] = offsets
                 character.largest_displacement = max(character.largest_displacement, result.largest_displacement)
                 character.largest_residual = max(character.largest_residual, result.largest_residual)
 
