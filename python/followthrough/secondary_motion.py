@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from followthrough import _core, skinning
+from followthrough.affine import inverse_linear
 from followthrough.character import BonePose, FloatArray, Paint, Pose, Surface
 from followthrough.elastic import ImplicitEuler
 from followthrough.flesh import loose_vertices, make_flesh
@@ -275,7 +276,7 @@ class SecondaryMotion:
         dynamic = self.solver.step(reference, None if self._ahead is None else self._ahead[1])
         displacements = self.volume.surface_displacements(dynamic, reference)
         to_world = pose.world[:3, :3]
-        local = displacements @ np.linalg.inv(to_world).T
+        local = displacements @ inverse_linear(to_world).T
         offsets, residuals = skinning.invert_displacements(pose.jacobians, local, self.settings.minimum_stretch)
         return Frame(
             offsets,

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import bpy
 import numpy as np
 
+from followthrough.affine import inverse_affine
 from followthrough.blender import probes
 from followthrough.blender.modes import object_mode
 from followthrough.blender.scene import Deformation, NotBakeableError, require_bakeable, skeleton_of
@@ -140,12 +141,19 @@ class BoneReader:
         if len(armature.pose.bones) != self._count:
             raise NotBakeableError(f"Object '{self._armature}' has other bones than before: bake again")
         channels = _channels(armature)[self._bones]
-        worlds = np.array([mesh.matrix_world, armature.matrix_world], dtype=np.float64)
-        from_worlds = np.linalg.inv(worlds)
-        to_mesh, to_armature = from_worlds @ worlds[::-1]
+        world, armature_world = _matrix(mesh), _matrix(armature)
+        to_mesh = self._inverse(self._object, world) @ armature_world
+        to_armature = self._inverse(self._armature, armature_world) @ world
         with np.errstate(invalid="ignore", over="ignore"):  # whoever asked for the pose checks it
             matrices = to_mesh @ channels @ to_armature
-        return BonePose(bone_matrices=np.asarray(matrices, dtype=np.float64), world=worlds[0], armature=to_mesh)
+        return BonePose(bone_matrices=np.asarray(matrices, dtype=np.float64), world=world, armature=to_mesh)
+
+    @staticmethod
+    def _inverse(name: str, world: FloatArray) -> FloatArray:
+        try:
+            return inverse_affine(world)
+        except ZeroDivisionError:
+            raise NotBakeableError(f"Object '{name}' is flat: its scale is 0 along some axis") from None
 
 
 def _armature_modifier(obj: bpy.types.Object) -> bpy.types.Modifier | None:
