@@ -23,12 +23,12 @@ echo "Setting up $venv with Python $version"
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
 
 # One list for everybody: the build's requirements, the library's own and the extras, read from pyproject.toml.
-extras=(demo tetgen test dev)
+extras=(demo tetgen plot test dev)
 case $version in
 3.11 | 3.13) ;;
 *)
   echo "setup: Python $version has no bpy wheel: 'make demo' and the Blender tests need Python 3.11 or 3.13 (PYTHON=... make setup)" >&2
-  extras=(test dev)
+  extras=(plot test dev)
   ;;
 esac
 "$venv/bin/python" "$here/requirements.py" "${extras[@]}" > "$venv/requirements.txt"

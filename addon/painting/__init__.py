@@ -5,9 +5,11 @@ from .add import FOLLOWTHROUGH_OT_add
 from .paint import FOLLOWTHROUGH_OT_finish_painting, FOLLOWTHROUGH_OT_paint, FOLLOWTHROUGH_OT_select_character
 from .pin_groups import FOLLOWTHROUGH_OT_add_pin_group, FOLLOWTHROUGH_OT_remove_pin_group
 from .presets import FOLLOWTHROUGH_OT_apply_preset
+from .remove import FOLLOWTHROUGH_OT_remove
 
 classes: tuple[type, ...] = (
     FOLLOWTHROUGH_OT_add,
+    FOLLOWTHROUGH_OT_remove,
     FOLLOWTHROUGH_OT_select_character,
     FOLLOWTHROUGH_OT_paint,
     FOLLOWTHROUGH_OT_finish_painting,

@@ -33,12 +33,17 @@ class FOLLOWTHROUGH_OT_add(Operator):
         if reason := why_not_bakeable(obj):
             self.report({"ERROR"}, reason)
             return {"CANCELLED"}
+        previous = obj.vertex_groups.active
+        previous_name = previous.name if previous is not None else ""
         try:
             created = add_groups(obj)
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         settings = obj.followthrough
+        settings.previous_group = previous_name
+        for name in created:
+            settings.made_groups.add().name = name
         if PINS_GROUP not in settings.pin_groups:
             settings.pin_groups.add().name = PINS_GROUP
         settings.frame_start, settings.frame_end = context.scene.frame_start, context.scene.frame_end

@@ -28,6 +28,7 @@ class FOLLOWTHROUGH_OT_add_pin_group(Operator):
         if PINS_GROUP not in obj.vertex_groups or PINS_GROUP in settings.pin_groups:
             # Blender makes the name unique where it is taken.
             name = obj.vertex_groups.new(name=PINS_GROUP).name
+            settings.made_groups.add().name = name
         settings.pin_groups.add().name = name
         settings.active_pin_group = len(settings.pin_groups) - 1
         return {"FINISHED"}

@@ -142,6 +142,10 @@ class FollowthroughPinGroup(PropertyGroup):
     )
 
 
+class FollowthroughMadeGroup(PropertyGroup):
+    """Name of a vertex group that the add-on made, and takes away again."""
+
+
 class FollowthroughSettings(PropertyGroup):
     """Secondary motion of one character."""
 
@@ -151,6 +155,12 @@ class FollowthroughSettings(PropertyGroup):
         options={"HIDDEN"},
     )
 
+    made_groups: CollectionProperty(type=FollowthroughMadeGroup)  # type: ignore[valid-type]
+    previous_group: StringProperty(  # type: ignore[valid-type]
+        name="Previous Group",
+        description="Vertex group that was the active one before Followthrough was added",
+        options={"HIDDEN"},
+    )
     pin_groups: CollectionProperty(type=FollowthroughPinGroup)  # type: ignore[valid-type]
     active_pin_group: IntProperty(  # type: ignore[valid-type]
         name="Active Pin Group",

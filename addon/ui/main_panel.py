@@ -14,6 +14,7 @@ from ..bake.session import BakeSession, running
 from ..characters import active_mesh, meshes_of_armature, selected_characters
 from ..painting.add import FOLLOWTHROUGH_OT_add
 from ..painting.paint import FOLLOWTHROUGH_OT_select_character
+from ..painting.remove import FOLLOWTHROUGH_OT_remove
 
 
 class FollowthroughPanel:
@@ -46,6 +47,8 @@ class FOLLOWTHROUGH_PT_main(FollowthroughPanel, Panel):
         else:
             draw_bake(layout, context)
         draw_baked(layout, obj)
+        if obj.followthrough.is_added:
+            layout.operator(FOLLOWTHROUGH_OT_remove.bl_idname, icon="X")
 
 
 def draw_choice_of_mesh(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

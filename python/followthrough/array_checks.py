@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from followthrough.character import FloatArray
+from followthrough.character import FloatArray, IntArray
 
 
 def numbers(name: str, values: ArrayLike) -> FloatArray:
@@ -55,3 +55,13 @@ def mask(name: str, values: ArrayLike, count: int) -> NDArray[np.bool_]:
     if array.shape != (count,) or array.dtype != np.bool_:
         raise ValueError(f"{name}: found shape {array.shape} of {array.dtype}, expected ({count},) of bool")
     return np.ascontiguousarray(array, dtype=np.bool_)
+
+
+def tets(name: str, values: ArrayLike) -> IntArray:
+    """Four vertices each, (m, 4) int32."""
+    array: NDArray[np.generic] = np.asarray(values)
+    if array.ndim != 2 or array.shape[1] != 4 or array.dtype.kind not in "iu":
+        raise ValueError(f"{name}: found shape {array.shape} of {array.dtype}, expected (m, 4) integers")
+    if array.size and not np.can_cast(np.min_scalar_type(array.max()), np.int32):
+        raise ValueError(f"{name}: found index {array.max()}, expected one of a vertex")
+    return np.ascontiguousarray(array, dtype=np.int32)

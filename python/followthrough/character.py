@@ -132,20 +132,17 @@ class BonePose:
 
 @dataclass(frozen=True)
 class SampledPose:
-    """One frame of a mesh that anything may move, sampled by three probes.
+    """One frame of a mesh that anything may move.
 
     Parameters
     ----------
     positions : (v, 3) float64
         Deformed vertices in object space.
-    jacobians : (v, 3, 3) float64
-        Derivative of a vertex's deformed position by its undeformed position.
     world : (4, 4) float64
         From the mesh's object space to the world.
     """
 
     positions: FloatArray
-    jacobians: FloatArray
     world: FloatArray
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from followthrough import _core, array_checks
 from followthrough.character import FloatArray
@@ -68,7 +68,7 @@ class ElasticBody:
         self.material = material
         self._core = _core.ElasticBody(
             rest,
-            _tets(tets),
+            array_checks.tets("tets", tets),
             array_checks.per_vertex("youngs_modulus", youngs_modulus, len(rest)),
             array_checks.per_vertex("density", density, len(rest)),
             float(poisson_ratio),
@@ -319,12 +319,3 @@ class CentralDifferences(_ElasticSolver):
     def stable_step(self, positions: ArrayLike) -> float:
         """Longest stable step near positions (n, 3), s."""
         return float(self._core.stable_step(array_checks.positions("positions", positions)))
-
-
-def _tets(values: ArrayLike) -> NDArray[np.int32]:
-    array: NDArray[np.generic] = np.asarray(values)
-    if array.ndim != 2 or array.shape[1] != 4 or array.dtype.kind not in "iu":
-        raise ValueError(f"tets: found shape {array.shape} of {array.dtype}, expected (m, 4) integers")
-    if array.size and not np.can_cast(np.min_scalar_type(array.max()), np.int32):
-        raise ValueError(f"tets: found index {array.max()}, expected one of a vertex")
-    return np.ascontiguousarray(array, dtype=np.int32)

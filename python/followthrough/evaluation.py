@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Iterable
+from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,19 +98,19 @@ def evaluate(
             exploded = not np.isfinite(rollout[frame]).all()
         state = solver.state()
         solver.resume(truth[:frame], reference[:frame])
-        single[frame] = _mean_square(solver.step(reference[frame], ahead), truth[frame])
+        single[frame] = mean_square(solver.step(reference[frame], ahead), truth[frame])
         if not exploded:
             solver.restore(state)
-    errors = np.array([_mean_square(now, true) for now, true in zip(rollout[1:], truth[1:], strict=True)])
+    errors = np.array([mean_square(now, true) for now, true in zip(rollout[1:], truth[1:], strict=True)])
     free = int(np.count_nonzero(~sequence.constrained))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # inverted rest tets: the solver has said so
         body = ElasticBody.of_sequence(sequence)
     return Scores(
-        single_frame=_root_mean(single[1:]),
-        rollout_24=_root_mean(errors[:24]),
-        rollout_48=_root_mean(errors[:48]),
-        rollout_all=_root_mean(errors),
+        single_frame=root_mean(single[1:]),
+        rollout_24=root_mean(errors[:24]),
+        rollout_48=root_mean(errors[:48]),
+        rollout_all=root_mean(errors),
         predicted=_energies(body, rollout[1:]),
         truth=_energies(body, truth[1:]),
         ms_per_frame=1000 * seconds / max(int(np.isfinite(errors).sum()), 1),
@@ -119,15 +120,17 @@ def evaluate(
     )
 
 
-def _mean_square(positions: FloatArray, true: FloatArray) -> float:
+def mean_square(positions: FloatArray, true: FloatArray) -> float:
+    """Mean square error over vertices and axes; infinite where a position is not finite."""
     if not np.isfinite(positions).all():
         return float("inf")
     with np.errstate(over="ignore"):
         return float(np.mean((positions - true) ** 2))
 
 
-def _root_mean(squares: NDArray[np.float64]) -> float:
-    return float(np.sqrt(squares.mean()))
+def root_mean(squares: SequenceOf[float] | NDArray[np.float64]) -> float:
+    """Square root of the mean of mean square errors."""
+    return float(np.sqrt(np.mean(squares)))
 
 
 def _energies(body: ElasticBody, motion: FloatArray) -> EnergyStatistics:

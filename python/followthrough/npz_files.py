@@ -57,26 +57,36 @@ def read_npz(path: Path | str) -> dict[str, NDArray[Any]]:
     if path.is_dir():
         raise ValueError(f"{path}: found a folder, expected an .npz file")
     try:
-        archive = np.load(path, allow_pickle=False)
+        file = path.open("rb")
     except FileNotFoundError:
         raise ValueError(f"{path}: found no such file, expected an .npz file") from None
+    with file:  # NumPy leaves a file open that it cannot read
+        try:
+            beginning = file.read(2)
+            if beginning not in (b"PK", b"\x93N"):  # of a zip file, of a single array
+                raise ValueError("it begins as no zip file does" if beginning else "it is empty")
+            file.seek(0)
+            archive = np.load(file, allow_pickle=False)
+        except _DAMAGE as error:
+            raise ValueError(
+                f"{path}: found no readable .npz archive, perhaps cut short or of another format ({error})"
+            ) from None
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise ValueError(f"{path}: found a single array, expected an .npz archive of several named ones")
+        with archive:
+            return {name: _read_array(path, archive, name) for name in archive.files}
+
+
+def _read_array(path: Path, archive: Any, name: str) -> NDArray[Any]:
+    try:
+        array = archive[name]
     except _DAMAGE as error:
-        raise ValueError(
-            f"{path}: found no readable .npz archive, perhaps cut short or of another format ({error})"
-        ) from None
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise ValueError(f"{path}: found a single array, expected an .npz archive of several named ones")
-    arrays: dict[str, NDArray[Any]] = {}
-    with archive:
-        for name in archive.files:
-            try:
-                array = archive[name]
-            except _DAMAGE as error:
-                raise ValueError(f"{path}: {name}: found no readable array, perhaps cut short ({error})") from None
-            if not isinstance(array, np.ndarray):
-                raise ValueError(f"{path}: {name}: found something else than an array")
-            arrays[name] = array
-    return arrays
+        if "Object arrays" in str(error):
+            raise ValueError(f"{path}: {name}: found Python objects, expected plain numbers") from None
+        raise ValueError(f"{path}: {name}: found no readable array, perhaps cut short ({error})") from None
+    if not isinstance(array, np.ndarray):
+        raise ValueError(f"{path}: {name}: found something else than an array")
+    return array
 
 
 def require_output_folder(path: Path | str) -> Path:

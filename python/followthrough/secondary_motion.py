@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from followthrough import _core, skinning
-from followthrough.affine import inverse_linear
+from followthrough import _core
 from followthrough.character import BonePose, FloatArray, Paint, Pose, Surface
 from followthrough.elastic import ImplicitEuler
 from followthrough.flesh import loose_vertices, make_flesh
@@ -28,19 +27,21 @@ class Frame:
 
     Attributes
     ----------
-    offsets : (v, 3) float64
+    offsets : (v, 3) float64 or None
         What to add to the mesh's rest vertices, in its object space, so that the rig moves them to where the motion wants them.
+        None where something else than a rig moves the mesh: whoever can evaluate it finds them (`followthrough.offset_search`).
     displacements : (v, 3) float64
         The secondary motion itself, in the world, metres.
     largest_displacement : float
         Metres.
     largest_residual : float
-        Largest part of a displacement that no offset can reach because the rig flattens the skin there, metres.
+        Largest part of a displacement that no offset can reach because the rig flattens the skin there, metres; 0 where the
+        offsets are not found here.
     converged : bool
         False where the solver could not take the step as exactly as its quality asks for.
     """
 
-    offsets: FloatArray
+    offsets: FloatArray | None
     displacements: FloatArray
     largest_displacement: float
     largest_residual: float
@@ -212,7 +213,8 @@ class SecondaryMotion:
             self._ahead = None
             self.solver.reset(self.volume.reference(pose))
         nothing = np.zeros_like(self.volume.surface.rest_positions)
-        return Frame(offsets=nothing, displacements=nothing, largest_displacement=0.0, largest_residual=0.0)
+        offsets = nothing if self._rigged is not None else None
+        return Frame(offsets=offsets, displacements=nothing, largest_displacement=0.0, largest_residual=0.0)
 
     def step(self, pose: Pose, next_pose: Pose | None = None) -> Frame:
         """Take one frame to this pose; `next_pose`, where it is known, makes the target's motion smooth at this frame.
@@ -275,16 +277,7 @@ class SecondaryMotion:
         self._ahead = None if next_pose is None else (next_pose, self.volume.reference(next_pose))
         dynamic = self.solver.step(reference, None if self._ahead is None else self._ahead[1])
         displacements = self.volume.surface_displacements(dynamic, reference)
-        to_world = pose.world[:3, :3]
-        local = displacements @ inverse_linear(to_world).T
-        offsets, residuals = skinning.invert_displacements(pose.jacobians, local, self.settings.minimum_stretch)
-        return Frame(
-            offsets,
-            displacements,
-            _longest(displacements),
-            _longest(residuals @ to_world.T),
-            _has_converged(self.solver),
-        )
+        return Frame(None, displacements, _longest(displacements), 0.0, _has_converged(self.solver))
 
 
 def _longest(vectors: FloatArray) -> float:

@@ -166,7 +166,11 @@ def _real(name: str, value: Any) -> float:
     array = np.asarray(value)
     if array.ndim != 0:
         raise ValueError(f"{name}: found shape {array.shape}, expected a single number")
-    return float(_reals(name, array.reshape(1), "a single number", (1,))[0])
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{name}: found {array.dtype}, expected a real number")
+    if not np.isfinite(array):
+        raise ValueError(f"{name}: found {array}, expected a finite number")
+    return float(array)
 
 
 def _flags(name: str, values: Any, count: int) -> NDArray[np.bool_]:

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from followthrough.affine import inverse_affine, inverse_linear
+from followthrough.affine import inverse_affine
 
 
 def test_inverses_are_lapacks_up_to_round_off() -> None:
@@ -12,8 +12,6 @@ def test_inverses_are_lapacks_up_to_round_off() -> None:
     for scale in (1e-4, 1.0, 1e4):
         matrix = np.eye(4)
         matrix[:3] = scale * random.normal(size=(3, 4))
-        limit = 1e-13 * np.linalg.cond(matrix[:3, :3])
-        assert np.abs(inverse_linear(matrix[:3, :3]) @ matrix[:3, :3] - np.eye(3)).max() < limit
         np.testing.assert_allclose(inverse_affine(matrix), np.linalg.inv(matrix), rtol=1e-9, atol=1e-12)
 
 

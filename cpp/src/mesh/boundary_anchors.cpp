@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "boundary_anchors.hpp"
 
+#include <optional>
+
 #include "followthrough/errors.hpp"
 #include "worthwhile_threads.hpp"
 
@@ -25,7 +27,11 @@ std::vector<ClosestPoint> boundary_anchors(ConstPositions surface_vertices, Cons
   for (Eigen::Index v = 0; v < wanted.size(); ++v) {
     if (wanted[v]) asking.push_back(static_cast<Index>(v));
   }
-  const TriangleTree tree(surface_vertices, triangles);
+  // Hardly any vertex of a split volume needs the tree: it has triangles of its own.
+  std::optional<TriangleTree> tree;
+  for (const Index v : asking) {
+    if (!tree && (own_offsets.size() == 0 || own_offsets[v] == own_offsets[v + 1])) tree.emplace(surface_vertices, triangles);
+  }
   std::vector<ClosestPoint> anchors(asking.size());
 #pragma omp parallel for schedule(dynamic, 64) num_threads(worthwhile_threads(std::ssize(asking), 2'000))
   for (std::size_t k = 0; k < asking.size(); ++k) {
@@ -33,13 +39,17 @@ std::vector<ClosestPoint> boundary_anchors(ConstPositions surface_vertices, Cons
     if (own_offsets.size() > 0) {
       for (Index at = own_offsets[asking[k]]; at < own_offsets[asking[k] + 1]; ++at) {
         const Index t = own_triangles[at];
-        ClosestPoint candidate = closest_on_triangle(point, surface_vertices.row(triangles(t, 0)),
-                                                     surface_vertices.row(triangles(t, 1)), surface_vertices.row(triangles(t, 2)));
+        const Eigen::Vector3d a = surface_vertices.row(triangles(t, 0)), b = surface_vertices.row(triangles(t, 1)),
+                              c = surface_vertices.row(triangles(t, 2));
+        // No nearer than its box, give or take rounding.
+        const Box box(a.cwiseMin(b).cwiseMin(c), a.cwiseMax(b).cwiseMax(c));
+        if (anchors[k].triangle >= 0 && box.squaredExteriorDistance(point) > 1.000001 * anchors[k].squared_distance) continue;
+        ClosestPoint candidate = closest_on_triangle(point, a, b, c);
         candidate.triangle = t;
         if (anchors[k].triangle < 0 || candidate.squared_distance < anchors[k].squared_distance) anchors[k] = candidate;
       }
     }
-    if (anchors[k].triangle < 0) anchors[k] = tree.closest(point);
+    if (anchors[k].triangle < 0) anchors[k] = tree->closest(point);
   }
   return anchors;
 }

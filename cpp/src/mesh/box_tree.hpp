@@ -26,12 +26,15 @@ struct BoxTreeNode {
 class BoxTree {
  public:
   explicit BoxTree(const std::vector<Box>& boxes, Index leaf_size = 4) {
-    items_.resize(boxes.size());
-    for (std::size_t item = 0; item < boxes.size(); ++item) items_[item] = static_cast<Index>(item);
-    if (!boxes.empty()) {
-      nodes_.reserve(2 * boxes.size() / static_cast<std::size_t>(leaf_size) + 2);
-      build(boxes, 0, static_cast<Index>(boxes.size()), leaf_size);
+    items_.reserve(boxes.size());
+    if (boxes.empty()) return;
+    std::vector<Centre> centres(boxes.size());
+    for (std::size_t item = 0; item < boxes.size(); ++item) {
+      for (int axis = 0; axis < 3; ++axis) centres[item].at[axis] = boxes[item].min()[axis] + boxes[item].max()[axis];
+      centres[item].item = static_cast<Index>(item);
     }
+    nodes_.reserve(4 * boxes.size() / static_cast<std::size_t>(leaf_size) + 2);
+    build(boxes, centres, 0, static_cast<Index>(boxes.size()), leaf_size);
   }
 
   const std::vector<BoxTreeNode>& nodes() const noexcept { return nodes_; }
@@ -95,34 +98,45 @@ class BoxTree {
   }
 
  private:
+  struct Centre {
+    double at[3];  // twice the centre of the item's box
+    Index item;
+  };
+
   // Halves the items by their boxes' centres along the longest side: the depth is at most log2 of their number.
-  void build(const std::vector<Box>& boxes, Index first, Index count, Index leaf_size) {
+  void build(const std::vector<Box>& boxes, std::vector<Centre>& centres, Index first, Index count, Index leaf_size) {
     const std::size_t self = nodes_.size();
     nodes_.emplace_back();
-    Box box, centres;
-    for (Index k = first; k < first + count; ++k) {
-      const Box& item = boxes[static_cast<std::size_t>(items_[static_cast<std::size_t>(k)])];
-      box.extend(item);
-      centres.extend(Eigen::Vector3d(item.center()));
-    }
-    nodes_[self].box = box;
     nodes_[self].first = first;
     nodes_[self].count = count;
-    if (count <= leaf_size) return;
-    Eigen::Index axis = 0;
-    centres.sizes().maxCoeff(&axis);
-    const auto begin = items_.begin() + first;
+    const auto begin = centres.begin() + first, end = begin + count;
+    if (count <= leaf_size) {
+      for (auto centre = begin; centre != end; ++centre) {
+        nodes_[self].box.extend(boxes[static_cast<std::size_t>(centre->item)]);
+        items_.push_back(centre->item);
+      }
+      return;
+    }
+    double least[3], most[3];
+    for (int axis = 0; axis < 3; ++axis) least[axis] = most[axis] = begin->at[axis];
+    for (auto centre = begin; centre != end; ++centre) {
+      for (int axis = 0; axis < 3; ++axis) {
+        least[axis] = std::min(least[axis], centre->at[axis]);
+        most[axis] = std::max(most[axis], centre->at[axis]);
+      }
+    }
+    int longest = 0;
+    for (const int axis : {1, 2}) {
+      if (most[axis] - least[axis] > most[longest] - least[longest]) longest = axis;
+    }
     const Index half = count / 2;
-    std::nth_element(begin, begin + half, begin + count, [&](Index a, Index b) {
-      const Box& box_a = boxes[static_cast<std::size_t>(a)];
-      const Box& box_b = boxes[static_cast<std::size_t>(b)];
-      const double centre_a = box_a.min()[axis] + box_a.max()[axis];
-      const double centre_b = box_b.min()[axis] + box_b.max()[axis];
-      return centre_a < centre_b || (centre_a == centre_b && a < b);
+    std::nth_element(begin, begin + half, end, [longest](const Centre& a, const Centre& b) {
+      return a.at[longest] < b.at[longest] || (a.at[longest] == b.at[longest] && a.item < b.item);
     });
-    build(boxes, first, half, leaf_size);
+    build(boxes, centres, first, half, leaf_size);
     nodes_[self].right = static_cast<Index>(nodes_.size());
-    build(boxes, first + half, count - half, leaf_size);
+    build(boxes, centres, first + half, count - half, leaf_size);
+    nodes_[self].box = nodes_[self + 1].box.merged(nodes_[static_cast<std::size_t>(nodes_[self].right)].box);
   }
 
   std::vector<BoxTreeNode> nodes_;

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <tuple>
 
 #include "disjoint_sets.hpp"
 
@@ -14,39 +13,47 @@ constexpr double kBelow = 1e-6;  // how far under the surface one looks from, in
 
 }  // namespace
 
-CellPatches patches_in_cell(const PreparedSurface& surface, const Voxels& voxels, Index cell) {
+PatchFinder::PatchFinder(const PreparedSurface& surface, const Voxels& voxels)
+    : surface_(surface), voxels_(voxels), seen_(static_cast<std::size_t>(surface.element_count)) {}
+
+CellPatches PatchFinder::operator()(Index cell) {
   CellPatches result;
-  const auto begin = static_cast<std::size_t>(voxels.touch_offsets[static_cast<std::size_t>(cell)]);
-  const auto end = static_cast<std::size_t>(voxels.touch_offsets[static_cast<std::size_t>(cell) + 1]);
-  const Eigen::Vector3d centre = voxels.grid.cell(cell).cast<double>() + Eigen::Vector3d::Constant(0.5);
+  const auto begin = static_cast<std::size_t>(voxels_.touch_offsets[static_cast<std::size_t>(cell)]);
+  const auto end = static_cast<std::size_t>(voxels_.touch_offsets[static_cast<std::size_t>(cell) + 1]);
+  const Eigen::Vector3d centre = voxels_.grid.cell(cell).cast<double>() + Eigen::Vector3d::Constant(0.5);
   DisjointSets sets(end - begin);
-  struct Edge {
-    Index low, high, triangle;
+  const auto meet = [&](Index element, const Eigen::Vector3d& a, const Eigen::Vector3d& b, std::size_t touch) {
+    const auto triangle = static_cast<Index>(touch - begin);
+    Seen& seen = seen_[static_cast<std::size_t>(element)];
+    if (seen.cell == cell) {
+      if (seen.first >= 0) sets.join(seen.first, triangle);
+      return;
+    }
+    seen = {cell, triangle};
+    const double reach = ((a - centre).cwiseAbs()).cwiseMax((b - centre).cwiseAbs()).maxCoeff();
+    if (reach < 0.5 - 2 * kTouchDepth) return;
+    if (triangle_meets_cube({a, b, b}, centre, 0.5 + 2 * kTouchDepth)) {
+      result.borders.push_back({element, touch});
+    } else {
+      seen.first = -1;
+    }
   };
-  std::vector<Edge> edges;  // low == high: a vertex
-  edges.reserve(6 * (end - begin));
-  for (std::size_t k = begin; k < end; ++k) {
-    const Index t = voxels.touch_triangles[k];
-    for (int corner = 0; corner < 3; ++corner) {
-      const Index a = surface.triangles(t, corner), b = surface.triangles(t, (corner + 1) % 3);
-      edges.push_back({a, a, static_cast<Index>(k - begin)});
-      edges.push_back({std::min(a, b), std::max(a, b), static_cast<Index>(k - begin)});
+  for (std::size_t touch = begin; touch < end; ++touch) {
+    const Index t = voxels_.touch_triangles[touch];
+    const std::array<Eigen::Vector3d, 3> x = {voxels_.corner(surface_, t, 0), voxels_.corner(surface_, t, 1),
+                                              voxels_.corner(surface_, t, 2)};
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::size_t next = (k + 1) % 3;
+      const Index own = surface_.triangles(t, static_cast<Eigen::Index>(k)),
+                  other = surface_.triangles(t, static_cast<Eigen::Index>(next));
+      meet(surface_.vertex_elements[own], x[k], x[k], touch);
+      // From the lower end, so that all cells see the same edge.
+      meet(surface_.edge_elements(t, static_cast<Eigen::Index>(k)), own < other ? x[k] : x[next], own < other ? x[next] : x[k],
+           touch);
     }
   }
-  std::sort(edges.begin(), edges.end(),
-            [](const Edge& a, const Edge& b) { return std::tie(a.low, a.high, a.triangle) < std::tie(b.low, b.high, b.triangle); });
-  for (std::size_t first = 0, last = 0; first < edges.size(); first = last) {
-    while (last < edges.size() && edges[last].low == edges[first].low && edges[last].high == edges[first].high) ++last;
-    const Eigen::Vector3d a = voxels.grid.to_grid(surface.vertices.row(edges[first].low));
-    const Eigen::Vector3d b = voxels.grid.to_grid(surface.vertices.row(edges[first].high));
-    const double reach = ((a - centre).cwiseAbs()).cwiseMax((b - centre).cwiseAbs()).maxCoeff();
-    const bool within = reach < 0.5 - 2 * kTouchDepth;
-    if (within && last - first < 2) continue;
-    if (!within && !triangle_meets_cube({a, b, b}, centre, 0.5 + 2 * kTouchDepth)) continue;
-    if (!within)
-      result.borders.push_back({edges[first].low, edges[first].high, begin + static_cast<std::size_t>(edges[first].triangle)});
-    for (std::size_t k = first; k < last; ++k) sets.join(edges[first].triangle, edges[k].triangle);
-  }
+  std::sort(result.borders.begin(), result.borders.end(),
+            [](const BorderEdge& a, const BorderEdge& b) { return a.element < b.element; });
   result.labels = sets.labels(result.count);
   return result;
 }
@@ -59,8 +66,7 @@ CellView::CellView(const PreparedSurface& surface, const Voxels& voxels, Index c
   for (std::size_t k = begin; k < end; ++k) {
     auto& corners = triangles_.emplace_back();
     for (std::size_t corner = 0; corner < 3; ++corner) {
-      corners[corner] = voxels.grid.to_grid(
-          surface.vertices.row(surface.triangles(voxels.touch_triangles[k], static_cast<Eigen::Index>(corner))));
+      corners[corner] = voxels.corner(surface, voxels.touch_triangles[k], static_cast<Eigen::Index>(corner));
     }
   }
 }

@@ -12,18 +12,33 @@ namespace followthrough {
 
 /// An edge of the surface (or a vertex, where both ends are the same) that reaches the border of a cell.
 struct BorderEdge {
-  Index low, high;    ///< vertices
+  Index element;      ///< its number, see PreparedSurface
   std::size_t touch;  ///< row of Voxels::touch_triangles of a triangle at it
 };
 
 struct CellPatches {
   std::vector<Index> labels;  ///< patch of each triangle of the cell's touch list, counted from 0
   Index count = 0;
-  std::vector<BorderEdge> borders;  ///< sorted by `low`, `high`
+  std::vector<BorderEdge> borders;  ///< sorted by `element`
 };
 
 /// Groups the triangles that touch a cell by what they share inside that cell: an edge that passes through it or a vertex in it.
-CellPatches patches_in_cell(const PreparedSurface& surface, const Voxels& voxels, Index cell);
+class PatchFinder {
+ public:
+  PatchFinder(const PreparedSurface& surface, const Voxels& voxels);
+
+  CellPatches operator()(Index cell);
+
+ private:
+  struct Seen {
+    Index cell = -1;  // the last one in which this element was seen
+    Index first;      // its first triangle there, counted in the cell; -1: it does not reach into the cell
+  };
+
+  const PreparedSurface& surface_;
+  const Voxels& voxels_;
+  std::vector<Seen> seen_;  // one an element
+};
 
 /// Looks through the material of one cell. Positions are in cell edges.
 class CellView {

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "cube_tets.hpp"
 
-#include <algorithm>
-#include <tuple>
+#include "bucket_sort.hpp"
 
 namespace followthrough {
 
@@ -20,9 +19,10 @@ CubeTets cut_cubes(const VoxelGrid& grid, const Cubes& cubes) {
           {grid_node(grid, cell + cube_corner(k)), cubes.nodes[c][static_cast<std::size_t>(k)], static_cast<Index>(c), k});
     }
   }
-  std::sort(sorted.begin(), sorted.end(), [](const Corner& a, const Corner& b) {
-    return std::tie(a.place, a.node, a.cube, a.k) < std::tie(b.place, b.node, b.cube, b.k);
-  });
+  const Eigen::Vector3i planes = grid.size + Eigen::Vector3i::Ones();
+  sorted = bucket_sorted(
+      sorted, static_cast<std::size_t>(planes.prod()), [](const Corner& corner) { return corner.place; },
+      [](const Corner& a, const Corner& b) { return a.node < b.node; });  // cubes are in order already
 
   CubeTets result;
   result.corners.resize(cubes.cells.size());

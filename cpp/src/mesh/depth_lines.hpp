@@ -34,8 +34,8 @@ struct Stretch {
 /// @brief Finds all stretches of material, shell by shell.
 ///
 /// In a closed shell crossings are counted; regions that a self-crossing turned inside out count as inside. In one with holes a
-/// stretch also ends, without a result, where the winding number says that the line is outside. Where walls divide a shell, the
-/// winding number alone decides.
-std::vector<Stretch> find_stretches(const PreparedSurface& surface, const TriangleTree& tree, const VoxelGrid& grid);
+/// stretch also ends, without a result, where the winding number (of an untouched cell: at its centre) says that the line is
+/// outside. Where walls divide a shell, the winding number alone decides.
+std::vector<Stretch> find_stretches(const PreparedSurface& surface, const TriangleTree& tree, const Voxels& voxels);
 
 }  // namespace followthrough

@@ -4,12 +4,14 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 #include <stdexcept>
 #include <vector>
 
 #include <Eigen/Dense>
 #include <Eigen/Sparse>
 
+#include "bucket_sort.hpp"
 #include "disjoint_sets.hpp"
 #include "tet_weights.hpp"
 #include "worthwhile_threads.hpp"
@@ -140,7 +142,9 @@ Mask boundary_vertices(ConstTets tets, Eigen::Index vertex_count) {
       faces.push_back(face);
     }
   }
-  std::sort(faces.begin(), faces.end());
+  faces = bucket_sorted(
+      faces, static_cast<std::size_t>(vertex_count), [](const std::array<Index, 3>& face) { return face[0]; },
+      std::less<std::array<Index, 3>>());
   for (std::size_t first = 0, last = 0; first < faces.size(); first = last) {
     while (last < faces.size() && faces[last] == faces[first]) ++last;
     if (last - first != 1) continue;

@@ -11,8 +11,10 @@
 #include <vector>
 
 #include "box_tree.hpp"
+#include "bucket_sort.hpp"
 #include "disjoint_sets.hpp"
 #include "followthrough/errors.hpp"
+#include "surface_edges.hpp"
 
 namespace followthrough {
 namespace {
@@ -67,50 +69,11 @@ std::vector<Index> weld(ConstPositions vertices, const std::vector<char>& open, 
   return sets.labels(count);
 }
 
-struct DirectedEdge {
-  Index low, high, triangle;
-  int direction;  // +1: the face runs from low to high
-  bool operator<(const DirectedEdge& other) const {
-    return std::tie(low, high, triangle) < std::tie(other.low, other.high, other.triangle);
-  }
-};
-
-std::vector<DirectedEdge> sorted_edges(const Triangles& triangles) {
-  std::vector<DirectedEdge> edges;
-  edges.reserve(3 * static_cast<std::size_t>(triangles.rows()));
-  for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
-    for (int k = 0; k < 3; ++k) {
-      const Index a = triangles(t, k), b = triangles(t, (k + 1) % 3);
-      edges.push_back({std::min(a, b), std::max(a, b), static_cast<Index>(t), a < b ? 1 : -1});
-    }
-  }
-  std::sort(edges.begin(), edges.end());
-  return edges;
-}
-
-// Calls visit(first, last) for the faces of each edge.
-template <typename Visit>
-void for_each_edge(const std::vector<DirectedEdge>& edges, Visit&& visit) {
-  for (std::size_t first = 0, last = 0; first < edges.size(); first = last) {
-    while (last < edges.size() && edges[last].low == edges[first].low && edges[last].high == edges[first].high) ++last;
-    visit(first, last);
-  }
-}
-
 // Vertices on a border: an edge with one face only. Where all faces around a vertex hang together, it has no seam to close, and one
 // that happens to lie in the same place belongs to another part of the body.
 std::vector<char> on_border(ConstTriangles triangles, Eigen::Index vertex_count) {
-  std::vector<DirectedEdge> edges;
-  edges.reserve(3 * static_cast<std::size_t>(triangles.rows()));
+  const std::vector<DirectedEdge> edges = sorted_edges(triangles, vertex_count);
   std::vector<char> border(static_cast<std::size_t>(vertex_count), 0);
-  for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
-    const Index a = triangles(t, 0), b = triangles(t, 1), c = triangles(t, 2);
-    if (a == b || b == c || c == a) continue;
-    edges.push_back({std::min(a, b), std::max(a, b), static_cast<Index>(t), 1});
-    edges.push_back({std::min(b, c), std::max(b, c), static_cast<Index>(t), 1});
-    edges.push_back({std::min(c, a), std::max(c, a), static_cast<Index>(t), 1});
-  }
-  std::sort(edges.begin(), edges.end());
   for_each_edge(edges, [&](std::size_t first, std::size_t last) {
     if (last - first != 1) return;
     border[static_cast<std::size_t>(edges[first].low)] = border[static_cast<std::size_t>(edges[first].high)] = 1;
@@ -126,14 +89,19 @@ struct Patches {
 // Turns faces so that neighbours across edges of exactly two faces agree.
 Patches make_consistent(PreparedSurface& surface, const std::vector<DirectedEdge>& edges) {
   const auto count = static_cast<std::size_t>(surface.triangles.rows());
-  std::vector<std::vector<std::pair<Index, bool>>> neighbours(count);  // neighbour, must be turned relative to this one
+  struct Neighbours {
+    std::array<std::pair<Index, bool>, 3> list;  // neighbour, must be turned relative to this one
+    std::size_t count = 0;
+    void add(Index other, bool turn) { list[count++] = {other, turn}; }
+  };
+  std::vector<Neighbours> neighbours(count);
   for_each_edge(edges, [&](std::size_t first, std::size_t last) {
     if (last - first != 2) return;
     const auto& a = edges[first];
     const auto& b = edges[first + 1];
     const bool turn = a.direction == b.direction;
-    neighbours[static_cast<std::size_t>(a.triangle)].emplace_back(b.triangle, turn);
-    neighbours[static_cast<std::size_t>(b.triangle)].emplace_back(a.triangle, turn);
+    neighbours[static_cast<std::size_t>(a.triangle)].add(b.triangle, turn);
+    neighbours[static_cast<std::size_t>(b.triangle)].add(a.triangle, turn);
   });
   Patches patches;
   patches.labels.assign(count, -1);
@@ -150,7 +118,8 @@ Patches make_consistent(PreparedSurface& surface, const std::vector<DirectedEdge
       const Eigen::Vector3d b = surface.vertices.row(surface.triangles(patch[at], 1));
       const Eigen::Vector3d c = surface.vertices.row(surface.triangles(patch[at], 2));
       balance += (turned[t] ? -1 : 1) * (b - a).cross(c - a).norm();
-      for (const auto& [other, turn] : neighbours[t]) {
+      for (std::size_t k = 0; k < neighbours[t].count; ++k) {
+        const auto [other, turn] = neighbours[t].list[k];
         const auto o = static_cast<std::size_t>(other);
         if (patches.labels[o] >= 0) continue;
         patches.labels[o] = patches.count;
@@ -169,9 +138,8 @@ Patches make_consistent(PreparedSurface& surface, const std::vector<DirectedEdge
 }
 
 // Turns patches so that what they enclose is positive.
-void turn_outside(PreparedSurface& surface, const Patches& patches) {
+void turn_outside(PreparedSurface& surface, const Patches& patches, const std::vector<DirectedEdge>& edges) {
   const auto count = static_cast<std::size_t>(patches.count);
-  const std::vector<DirectedEdge> edges = sorted_edges(surface.triangles);
   std::vector<Eigen::Vector3d> rim(count, Eigen::Vector3d::Zero());
   std::vector<Index> rim_edges(count, 0);
   for_each_edge(edges, [&](std::size_t first, std::size_t last) {
@@ -249,6 +217,52 @@ void number_shells(PreparedSurface& surface, const Patches& patches, const std::
   });
 }
 
+// Vertices and edges as one list, a vertex before the edges of which it is the lower end.
+void number_elements(PreparedSurface& surface, const std::vector<DirectedEdge>& edges) {
+  surface.vertex_elements.resize(surface.vertices.rows());
+  surface.edge_elements.resize(surface.triangles.rows(), 3);
+  Index vertex = 0;  // the next one
+  for_each_edge(edges, [&](std::size_t first, std::size_t last) {
+    for (; vertex <= edges[first].low; ++vertex) surface.vertex_elements[vertex] = surface.element_count++;
+    for (std::size_t k = first; k < last; ++k) {
+      const auto corners = surface.triangles.row(edges[k].triangle);
+      const Index from = edges[k].direction > 0 ? edges[k].low : edges[k].high;
+      surface.edge_elements(edges[k].triangle, corners[0] == from ? 0 : (corners[1] == from ? 1 : 2)) = surface.element_count;
+    }
+    ++surface.element_count;
+  });
+  for (; vertex < surface.vertices.rows(); ++vertex) surface.vertex_elements[vertex] = surface.element_count++;
+}
+
+// Each face once, whichever corner it starts with and way it is turned; the first one counts. None with a repeated corner.
+std::vector<Index> distinct_faces(ConstTriangles triangles, const std::vector<Index>& labels, Index label_count) {
+  struct Face {
+    std::array<Index, 3> corners;
+    Index source;
+  };
+  std::vector<Face> faces;
+  faces.reserve(static_cast<std::size_t>(triangles.rows()));
+  for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
+    std::array<Index, 3> corners{};
+    for (std::size_t k = 0; k < 3; ++k) corners[k] = labels[static_cast<std::size_t>(triangles(t, static_cast<Eigen::Index>(k)))];
+    std::sort(corners.begin(), corners.end());
+    if (corners[0] != corners[1] && corners[1] != corners[2]) faces.push_back({corners, static_cast<Index>(t)});
+  }
+  faces = bucket_sorted(
+      faces, static_cast<std::size_t>(label_count), [](const Face& face) { return face.corners[0]; },
+      [](const Face& a, const Face& b) { return a.corners < b.corners; });
+  std::vector<char> first(static_cast<std::size_t>(triangles.rows()), 0);
+  for (std::size_t k = 0; k < faces.size(); ++k) {
+    if (k == 0 || faces[k].corners != faces[k - 1].corners) first[static_cast<std::size_t>(faces[k].source)] = 1;
+  }
+  std::vector<Index> result;
+  result.reserve(faces.size());
+  for (std::size_t t = 0; t < first.size(); ++t) {
+    if (first[t]) result.push_back(static_cast<Index>(t));
+  }
+  return result;
+}
+
 }  // namespace
 
 PreparedSurface prepare_surface(ConstPositions vertices, ConstTriangles triangles) {
@@ -276,42 +290,25 @@ PreparedSurface prepare_surface(ConstPositions vertices, ConstTriangles triangle
   surface.vertices.resize(distinct, 3);
   for (Eigen::Index v = vertices.rows(); v-- > 0;) surface.vertices.row(labels[static_cast<std::size_t>(v)]) = vertices.row(v);
 
-  // Each face once, whichever corner it starts with and way it is turned; the first one counts.
-  struct Face {
-    std::array<Index, 3> corners;
-    Index source;
-  };
-  std::vector<Face> faces;
-  faces.reserve(static_cast<std::size_t>(triangles.rows()));
-  for (Eigen::Index t = 0; t < triangles.rows(); ++t) {
-    std::array<Index, 3> corners{};
-    for (std::size_t k = 0; k < 3; ++k) corners[k] = labels[static_cast<std::size_t>(triangles(t, static_cast<Eigen::Index>(k)))];
-    std::sort(corners.begin(), corners.end());
-    if (corners[0] != corners[1] && corners[1] != corners[2]) faces.push_back({corners, static_cast<Index>(t)});
-  }
+  const std::vector<Index> faces = distinct_faces(triangles, labels, distinct);
   if (faces.empty()) throw InvalidInput("triangles", "every one is degenerate, expected at least one with three distinct corners");
-  std::sort(faces.begin(), faces.end(),
-            [](const Face& a, const Face& b) { return std::tie(a.corners, a.source) < std::tie(b.corners, b.source); });
-  faces.erase(std::unique(faces.begin(), faces.end(), [](const Face& a, const Face& b) { return a.corners == b.corners; }),
-              faces.end());
-  std::sort(faces.begin(), faces.end(), [](const Face& a, const Face& b) { return a.source < b.source; });
-
   const auto count = static_cast<Eigen::Index>(faces.size());
   surface.triangles.resize(count, 3);
   surface.sources.resize(count);
   DisjointSets pieces(static_cast<std::size_t>(distinct));
   for (Eigen::Index t = 0; t < count; ++t) {
-    surface.sources[t] = faces[static_cast<std::size_t>(t)].source;
+    surface.sources[t] = faces[static_cast<std::size_t>(t)];
     for (int k = 0; k < 3; ++k) {
       surface.triangles(t, k) = labels[static_cast<std::size_t>(triangles(surface.sources[t], k))];
       pieces.join(surface.triangles(t, 0), surface.triangles(t, k));
     }
   }
-  const Patches patches = make_consistent(surface, sorted_edges(surface.triangles));
-  turn_outside(surface, patches);
+  std::vector<DirectedEdge> edges = sorted_edges(surface.triangles, distinct);
+  const Patches patches = make_consistent(surface, edges);
+  turn_outside(surface, patches, edges);
+  update_directions(surface.triangles, edges);
 
   surface.closed = true;
-  const std::vector<DirectedEdge> edges = sorted_edges(surface.triangles);
   for_each_edge(edges, [&](std::size_t first, std::size_t last) {
     int balance = 0;
     for (std::size_t k = first; k < last; ++k) balance += edges[k].direction;
@@ -327,6 +324,7 @@ PreparedSurface prepare_surface(ConstPositions vertices, ConstTriangles triangle
     surface.components[t] = own;
   }
   number_shells(surface, patches, edges);
+  number_elements(surface, edges);
   return surface;
 }
 

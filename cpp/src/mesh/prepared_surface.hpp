@@ -25,6 +25,9 @@ struct PreparedSurface {
   Index component_count = 0;
   Indices shells;                          ///< (k,) sets of triangles whose crossings belong together, counted from 0
   std::vector<Crossings> shell_crossings;  ///< one a shell
+  Indices vertex_elements;  ///< (u,) number of each vertex in one list of all vertices and edges, sorted by their lower end
+  Triangles edge_elements;  ///< (k,3) number in that list of the edge from each corner to the next one
+  Index element_count = 0;
   bool closed = false;  ///< every edge is passed as often one way as the other, so winding numbers are whole numbers
 };
 

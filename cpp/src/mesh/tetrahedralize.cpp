@@ -2,8 +2,11 @@
 #include "followthrough/mesh/tetrahedralize.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
+#include <span>
+#include <utility>
 #include <vector>
 
 #include "cube_tets.hpp"
@@ -20,21 +23,32 @@ namespace followthrough {
 namespace {
 
 // Cells that hold a position, the one below first; several where it lies on a plane between them.
-std::vector<Index> cells_at(const Eigen::Vector3d& position, const VoxelGrid& grid) {
-  std::vector<Index> cells;
+struct CellsAt {
+  std::array<Index, 8> list;
+  std::size_t count = 0;
+  const Index* begin() const { return list.data(); }
+  const Index* end() const { return list.data() + count; }
+};
+
+CellsAt cells_at(const Eigen::Vector3d& position, const VoxelGrid& grid) {
+  CellsAt cells;
   const Eigen::Vector3d at = grid.to_grid(position);
   // A loose vertex may lie anywhere.
   if ((at - grid.low.cast<double>()).minCoeff() < -1 || (at - (grid.low + grid.size).cast<double>()).maxCoeff() > 1) return cells;
+  Eigen::Vector3i below, above;
+  for (int axis = 0; axis < 3; ++axis) {
+    below[axis] = floor_index(at[axis] - kTouchDepth);
+    above[axis] = floor_index(at[axis] + kTouchDepth);
+  }
   for (int combination = 0; combination < 8; ++combination) {
     Eigen::Vector3i cell;
     bool another = true;
     for (int axis = 0; axis < 3; ++axis) {
-      const double below = std::floor(at[axis] - kTouchDepth), above = std::floor(at[axis] + kTouchDepth);
       const bool up = combination >> axis & 1;
-      another = another && !(up && above == below);
-      cell[axis] = static_cast<int>(up ? above : below);
+      another = another && !(up && above[axis] == below[axis]);
+      cell[axis] = up ? above[axis] : below[axis];
     }
-    if (another && grid.contains(cell)) cells.push_back(grid.number(cell));
+    if (another && grid.contains(cell)) cells.list[cells.count++] = grid.number(cell);
   }
   return cells;
 }
@@ -53,21 +67,38 @@ std::vector<Index> cubes_of_vertices(ConstPositions vertices, const VoxelGrid& g
   return result;
 }
 
+// Rows of `items` by number, in ascending order: those of number n are rows[offsets[n]] to rows[offsets[n + 1] - 1].
+struct RowsByNumber {
+  std::vector<Index> offsets, rows;
+
+  template <typename NumberOf>
+  RowsByNumber(std::size_t numbers, std::size_t items, NumberOf&& number_of) : offsets(numbers + 2, 0), rows(items) {
+    for (std::size_t item = 0; item < items; ++item) ++offsets[static_cast<std::size_t>(number_of(item)) + 2];
+    for (std::size_t n = 2; n < offsets.size(); ++n) offsets[n] += offsets[n - 1];
+    for (std::size_t item = 0; item < items; ++item)
+      rows[static_cast<std::size_t>(offsets[static_cast<std::size_t>(number_of(item)) + 1]++)] = static_cast<Index>(item);
+  }
+  std::span<const Index> of(std::size_t number) const {
+    return std::span(rows).subspan(static_cast<std::size_t>(offsets[number]),
+                                   static_cast<std::size_t>(offsets[number + 1] - offsets[number]));
+  }
+};
+
 // Where parts were split: the cube that carries the vertex's own triangles. Welded vertices share it.
 void choose_own_cubes(const PreparedSurface& surface, const Voxels& voxels, const std::vector<Index>& touch_cubes,
                       std::vector<Index>& cubes) {
-  std::vector<std::vector<Index>> around(static_cast<std::size_t>(surface.vertices.rows()));
-  for (Eigen::Index t = 0; t < surface.triangles.rows(); ++t) {
-    for (int k = 0; k < 3; ++k) around[static_cast<std::size_t>(surface.triangles(t, k))].push_back(static_cast<Index>(t));
-  }
-  std::vector<Index> own(around.size(), -1);
-  for (std::size_t v = 0; v < around.size(); ++v) {
+  const auto corners = static_cast<std::size_t>(surface.triangles.size());
+  const RowsByNumber around(static_cast<std::size_t>(surface.vertices.rows()), corners,
+                            [&](std::size_t corner) { return surface.triangles.data()[corner]; });
+  std::vector<Index> own(static_cast<std::size_t>(surface.vertices.rows()), -1);
+  for (std::size_t v = 0; v < own.size(); ++v) {
     for (const Index cell : cells_at(surface.vertices.row(static_cast<Eigen::Index>(v)), voxels.grid)) {
       const auto first = voxels.touch_triangles.begin() + voxels.touch_offsets[static_cast<std::size_t>(cell)];
       const auto last = voxels.touch_triangles.begin() + voxels.touch_offsets[static_cast<std::size_t>(cell) + 1];
-      for (const Index t : around[v]) {
-        const auto found = std::lower_bound(first, last, t);
-        if (own[v] < 0 && found != last && *found == t) {
+      for (const Index corner : around.of(v)) {
+        if (own[v] >= 0) break;
+        const auto found = std::lower_bound(first, last, corner / 3);
+        if (found != last && *found == corner / 3) {
           own[v] = touch_cubes[static_cast<std::size_t>(found - voxels.touch_triangles.begin())];
         }
       }
@@ -82,21 +113,26 @@ void choose_own_cubes(const PreparedSurface& surface, const Voxels& voxels, cons
 // Lists for each vertex of the volume the surface's triangles that its cubes carry.
 void list_own_triangles(const PreparedSurface& surface, const Voxels& voxels, const std::vector<Index>& touch_cubes,
                         const CubeTets& cut, TetVolume& volume) {
-  std::vector<std::vector<Index>> own(static_cast<std::size_t>(cut.vertices.rows()));
-  for (std::size_t touch = 0; touch < touch_cubes.size(); ++touch) {
-    for (const Index vertex : cut.corners[static_cast<std::size_t>(touch_cubes[touch])]) {
-      own[static_cast<std::size_t>(vertex)].push_back(surface.sources[voxels.touch_triangles[touch]]);
+  const RowsByNumber touches(static_cast<std::size_t>(surface.triangles.rows()), touch_cubes.size(),
+                             [&](std::size_t touch) { return voxels.touch_triangles[touch]; });
+  std::vector<Index> last(static_cast<std::size_t>(cut.vertices.rows()));  // triangle that each vertex was given last
+  // Triangle by triangle, so that each vertex's list comes out sorted.
+  const auto for_each_own = [&](auto&& visit) {
+    std::fill(last.begin(), last.end(), -1);
+    for (Eigen::Index t = 0; t < surface.triangles.rows(); ++t) {
+      for (const Index touch : touches.of(static_cast<std::size_t>(t))) {
+        for (const Index vertex : cut.corners[static_cast<std::size_t>(touch_cubes[static_cast<std::size_t>(touch)])]) {
+          if (std::exchange(last[static_cast<std::size_t>(vertex)], static_cast<Index>(t)) != t) visit(vertex, surface.sources[t]);
+        }
+      }
     }
-  }
+  };
   volume.own_offsets = Indices::Zero(cut.vertices.rows() + 1);
-  std::vector<Index> all;
-  for (std::size_t v = 0; v < own.size(); ++v) {
-    std::sort(own[v].begin(), own[v].end());
-    own[v].erase(std::unique(own[v].begin(), own[v].end()), own[v].end());
-    all.insert(all.end(), own[v].begin(), own[v].end());
-    volume.own_offsets[static_cast<Eigen::Index>(v) + 1] = static_cast<Index>(all.size());
-  }
-  volume.own_triangles = Eigen::Map<const Indices>(all.data(), static_cast<Eigen::Index>(all.size()));
+  for_each_own([&](Index vertex, Index) { ++volume.own_offsets[vertex + 1]; });
+  for (Eigen::Index v = 0; v < cut.vertices.rows(); ++v) volume.own_offsets[v + 1] += volume.own_offsets[v];
+  volume.own_triangles.resize(volume.own_offsets[cut.vertices.rows()]);
+  Indices next = volume.own_offsets;
+  for_each_own([&](Index vertex, Index source) { volume.own_triangles[next[vertex]++] = source; });
 }
 
 // Embeds each vertex in the best of its cube's six tets; vertices without a cube (loose ones) in the nearest tet there is.
@@ -121,6 +157,7 @@ void embed_in_cubes(ConstPositions points, const std::vector<Index>& cubes, TetV
         volume.embedding_tets[p] = tet;
         volume.embedding_weights.row(p) = weights;
       }
+      if (best >= 0) break;  // inside: none is better
     }
   }
   if (loose.empty()) return;

@@ -42,6 +42,7 @@ class TriangleTree {
     Eigen::Vector3d centre;
     Eigen::Vector3d area;
     double radius;
+    Index right;  // of the node, once more
   };
 
   Eigen::Vector3d corner(Index triangle, int k) const { return vertices_.row(triangles_(triangle, k)); }
@@ -49,7 +50,7 @@ class TriangleTree {
   Positions vertices_;
   Triangles triangles_;
   BoxTree tree_;
-  std::vector<Dipole> dipoles_;
+  std::vector<Dipole> dipoles_;  // one a node of the tree
 };
 
 }  // namespace followthrough

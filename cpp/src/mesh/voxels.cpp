@@ -14,12 +14,8 @@ namespace {
 
 constexpr double kMostCells = 20e6;
 
-std::array<Eigen::Vector3d, 3> grid_corners(const PreparedSurface& surface, const VoxelGrid& grid, Eigen::Index triangle) {
-  std::array<Eigen::Vector3d, 3> corners;
-  for (int k = 0; k < 3; ++k) {
-    corners[static_cast<std::size_t>(k)] = grid.to_grid(surface.vertices.row(surface.triangles(triangle, k)));
-  }
-  return corners;
+std::array<Eigen::Vector3d, 3> grid_corners(const PreparedSurface& surface, const Voxels& voxels, Eigen::Index triangle) {
+  return {voxels.corner(surface, triangle, 0), voxels.corner(surface, triangle, 1), voxels.corner(surface, triangle, 2)};
 }
 
 // Calls visit(cell) for the cells that a triangle meets when each cell is shrunk (or grown) to the given half edge. Walks the
@@ -31,8 +27,16 @@ void for_each_met_cell(const std::array<Eigen::Vector3d, 3>& corners, const Voxe
   const Eigen::Vector3d most = corners[0].cwiseMax(corners[1]).cwiseMax(corners[2]);
   Eigen::Vector3i from, to;
   for (int k = 0; k < 3; ++k) {
-    from[k] = std::max(static_cast<int>(std::floor(least[k] - std::max(margin, 0.0))), grid.low[k]);
-    to[k] = std::min(static_cast<int>(std::floor(most[k] + std::max(margin, 0.0))), grid.low[k] + grid.size[k] - 1);
+    from[k] = std::max(floor_index(least[k] - std::max(margin, 0.0)), grid.low[k]);
+    to[k] = std::min(floor_index(most[k] + std::max(margin, 0.0)), grid.low[k] + grid.size[k] - 1);
+  }
+  if (from == to) {
+    // Most triangles of a fine mesh: wholly in one cell, well away from its sides.
+    const Eigen::Vector3d centre = from.cast<double>() + Eigen::Vector3d::Constant(0.5);
+    if ((centre - least).cwiseMax(most - centre).maxCoeff() < half * (1 - 1e-9)) {
+      visit(from);
+      return;
+    }
   }
   const Eigen::Vector3d normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
   Eigen::Index axis = 0;
@@ -49,8 +53,8 @@ void for_each_met_cell(const std::array<Eigen::Vector3d, 3>& corners, const Voxe
         const double middle =
             corners[0][axis] + slope_u * (cell[u] + 0.5 - corners[0][u]) + slope_v * (cell[v] + 0.5 - corners[0][v]);
         const double spread = half * (std::abs(slope_u) + std::abs(slope_v)) + 1e-3;
-        first = std::max(first, static_cast<int>(std::floor(middle - spread)));
-        last = std::min(last, static_cast<int>(std::floor(middle + spread)));
+        first = std::max(first, floor_index(middle - spread));
+        last = std::min(last, floor_index(middle + spread));
       }
       for (cell[axis] = first; cell[axis] <= last; ++cell[axis]) {
         if (triangle_meets_cube(corners, cell.cast<double>() + Eigen::Vector3d::Constant(0.5), half)) visit(cell);
@@ -71,7 +75,7 @@ std::vector<Index> find_touched(const PreparedSurface& surface, Voxels& voxels) 
     auto& own = found[static_cast<std::size_t>(c)];
     for (Eigen::Index t = c * chunk; t < std::min(triangles, (c + 1) * chunk); ++t) {
       const std::size_t before = own.size();
-      for_each_met_cell(grid_corners(surface, voxels.grid, t), voxels.grid, 0.5 - kTouchDepth,
+      for_each_met_cell(grid_corners(surface, voxels, t), voxels.grid, 0.5 - kTouchDepth,
                         [&](const Eigen::Vector3i& cell) { own.emplace_back(voxels.grid.number(cell), static_cast<Index>(t)); });
       if (own.size() == before) missed[static_cast<std::size_t>(c)].push_back(static_cast<Index>(t));
     }
@@ -99,7 +103,7 @@ void fill_closed(const PreparedSurface& surface, const TriangleTree& tree, const
   // Beside a face that lies in a grid plane one must not step from cell to cell.
   std::vector<char> barrier(count, 0);
   for (const Index t : flat) {
-    for_each_met_cell(grid_corners(surface, grid, t), grid, 0.5 + 2 * kTouchDepth,
+    for_each_met_cell(grid_corners(surface, voxels, t), grid, 0.5 + 2 * kTouchDepth,
                       [&](const Eigen::Vector3i& cell) { barrier[static_cast<std::size_t>(grid.number(cell))] = 1; });
   }
   std::vector<char> seen(count, 0);
@@ -163,7 +167,7 @@ void keep_beside_flat(const PreparedSurface& surface, const std::vector<Index>& 
   const VoxelGrid& grid = voxels.grid;
   std::vector<std::pair<Index, Index>> more;
   for (const Index t : flat) {
-    const auto corners = grid_corners(surface, grid, t);
+    const auto corners = grid_corners(surface, voxels, t);
     const Eigen::Vector3d normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
     const double depth = 4 * kTouchDepth;
     std::array<Eigen::Vector3d, 3> moved = corners;
@@ -243,6 +247,8 @@ VoxelGrid make_grid(const PreparedSurface& surface, Index cells, double cell_siz
 Voxels voxelize(const PreparedSurface& surface, const TriangleTree& tree, const VoxelGrid& grid) {
   Voxels voxels;
   voxels.grid = grid;
+  voxels.positions.resize(surface.vertices.rows(), 3);
+  for (Eigen::Index v = 0; v < surface.vertices.rows(); ++v) voxels.positions.row(v) = grid.to_grid(surface.vertices.row(v));
   const std::vector<Index> flat = find_touched(surface, voxels);
   const auto count = static_cast<std::size_t>(grid.count());
   voxels.enclosed.assign(count, 0);

@@ -18,6 +18,12 @@ namespace followthrough {
 /// bounding box's do) so never touch the cell beyond it, wherever the rounding of a translation or rotation puts them.
 inline constexpr double kTouchDepth = 1e-5;
 
+/// The whole number below, for numbers of an Index's range: without the library call that std::floor is on the simplest processors.
+inline int floor_index(double value) {
+  const int truncated = static_cast<int>(value);
+  return truncated - (value < truncated);
+}
+
 /// N x N x N cubes centred on the surface's bounding box. Only the cells from `low`, `size` of them, are ever looked at: the others
 /// lie outside the bounding box.
 struct VoxelGrid {
@@ -55,11 +61,16 @@ VoxelGrid make_grid(const PreparedSurface& surface, Index cells, double cell_siz
 
 struct Voxels {
   VoxelGrid grid;
+  Positions positions;                 ///< the prepared surface's vertices in the grid, in cell edges
   std::vector<char> kept;              ///< one a cell number
   std::vector<char> enclosed;          ///< kept because the centre is inside; not decided for touched cells
   std::vector<Index> touch_offsets;    ///< (cells + 1): rows of `touch_triangles` of each cell
   std::vector<Index> touch_triangles;  ///< triangles of the prepared surface, ascending in each cell
 
+  /// Corner k of a triangle, in the grid.
+  Eigen::Vector3d corner(const PreparedSurface& surface, Eigen::Index triangle, Eigen::Index k) const {
+    return positions.row(surface.triangles(triangle, k));
+  }
   bool touched(Index cell) const {
     return touch_offsets[static_cast<std::size_t>(cell)] != touch_offsets[static_cast<std::size_t>(cell) + 1];
   }

@@ -15,8 +15,9 @@
 namespace followthrough {
 namespace {
 
-// Vertices a thread takes at a time.
+// Vertices a thread takes at a time; whole groups of factors.
 constexpr Eigen::Index block = 2048;
+static_assert(block % factor_group == 0);
 // Nanoseconds a vertex, for worthwhile_threads.
 constexpr double coefficients_cost = 150;
 constexpr double step_cost = 8;
@@ -25,21 +26,21 @@ constexpr double evaluate_cost = 200;
 
 struct Kernels {
   decltype(&baseline::springs_step) step;
-  decltype(&baseline::all_finite) all_finite;
+  decltype(&baseline::finite_sum) finite_sum;
 };
 
 Kernels kernels() {
   switch (instruction_set()) {
 #ifdef FOLLOWTHROUGH_HAS_avx512
     case InstructionSet::avx512:
-      return {avx512::springs_step, avx512::all_finite};
+      return {avx512::springs_step, avx512::finite_sum};
 #endif
 #ifdef FOLLOWTHROUGH_HAS_avx2
     case InstructionSet::avx2:
-      return {avx2::springs_step, avx2::all_finite};
+      return {avx2::springs_step, avx2::finite_sum};
 #endif
     default:
-      return {baseline::springs_step, baseline::all_finite};
+      return {baseline::springs_step, baseline::finite_sum};
   }
 }
 
@@ -54,18 +55,18 @@ void for_blocks(Eigen::Index count, double nanoseconds, const Work& work) {
 
 // Both references in one pass over the threads; null: none. Slow only where there is something to complain about.
 void require_finite_references(const double* reference, const double* next_reference, Eigen::Index vertices) {
-  const auto all_finite = kernels().all_finite;
+  const auto finite_sum = kernels().finite_sum;
   const Eigen::Index blocks = (vertices + block - 1) / block;
   bool finite = true;
 #pragma omp parallel for schedule(static) reduction(&& : finite) num_threads(worthwhile_threads(vertices, finite_cost))
   for (Eigen::Index b = 0; b < blocks; ++b) {
     const Eigen::Index first = 3 * b * block;
     const Eigen::Index count = std::min(3 * block, 3 * vertices - first);
-    finite = finite && all_finite(reference + first, count) && (!next_reference || all_finite(next_reference + first, count));
+    finite = finite && finite_sum(reference + first, count) && (!next_reference || finite_sum(next_reference + first, count));
   }
   if (!finite) {
     require_finite("reference", Eigen::Map<const Positions>(reference, vertices, 3));
-    require_finite("next_reference", Eigen::Map<const Positions>(next_reference, vertices, 3));
+    if (next_reference) require_finite("next_reference", Eigen::Map<const Positions>(next_reference, vertices, 3));
   }
 }
 
@@ -115,16 +116,19 @@ Springs::Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMas
       }
     }
   }
-  factors_.resize(6, count);
+  factors_.setZero((count + factor_group - 1) / factor_group * factor_count, factor_group);
   for_blocks(count, coefficients_cost, [&](Eigen::Index first, Eigen::Index last) {
+    auto pin = std::lower_bound(pinned_.begin(), pinned_.end(), first);
     for (Eigen::Index v = first; v < last; ++v) {
+      if (pin != pinned_.end() && *pin == v) {
+        ++pin;
+        continue;  // all zero
+      }
       const SpringCoefficients k = spring_coefficients(stiffness_[v], damping_[v], dt_);
-      factors_.col(v) << k.decay, k.impulse, k.impulse_slope, k.restoring, k.acceleration, k.acceleration_slope;
+      factors_.block<factor_count, 1>(v / factor_group * factor_count, v % factor_group) << k.decay, k.impulse, k.impulse_slope,
+          k.restoring, k.acceleration, 3.0 * k.acceleration - 6.0 * k.acceleration_slope;
     }
   });
-  for (const Index v : pinned_) {
-    factors_.col(v).setZero();
-  }
 }
 
 void Springs::require_references(ConstPositions reference, const Positions* next_reference) const {
@@ -166,11 +170,7 @@ const Positions& Springs::step(ConstPositions reference, const Positions* next_r
   frame.start_slope = frames_ == 0 ? 1.0 : 0.5;
   frame.end_slope = next_reference ? 0.5 : 1.0;
   frame.duration = dt_;
-  const double** rows[] = {&frame.decay,     &frame.impulse,      &frame.impulse_slope,
-                           &frame.restoring, &frame.acceleration, &frame.acceleration_slope};
-  for (Eigen::Index k = 0; k < 6; ++k) {
-    *rows[k] = factors_.data() + k * count;
-  }
+  frame.factors = factors_.data();
   const auto springs_step = kernels().step;
   const bool first_frame = frames_ == 0;
   for_blocks(count, step_cost, [&](Eigen::Index first, Eigen::Index last) {

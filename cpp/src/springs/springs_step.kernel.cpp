@@ -22,18 +22,28 @@ struct Moved {
 template <typename Number>
 inline Moved<Number> moved(const SpringsStep& frame, double rate, Number position, Number velocity, Number before, Number start,
                            Number end, Number after, Number decay, Number impulse, Number impulse_slope, Number restoring,
-                           Number acceleration, Number acceleration_slope) {
+                           Number acceleration, Number bend_position, Number bend_velocity) {
   const Number step = end - start;
   const Number slope0 = frame.start_slope * (end - before);
   const Number slope1 = frame.end_slope * (after - start);
-  // The cubic's acceleration over the frame is constant + linear * s ([ZS] eqs. 2 to 4), in units a frame squared.
-  const Number bend = slope0 + slope1 - (step + step);
-  const Number linear = 6.0 * bend;
-  const Number constant = (slope1 - slope0) - 3.0 * bend;
+  // The cubic's acceleration over the frame is turn - 3 bend + 6 bend * s ([ZS] eqs. 2 to 4), in units a frame squared.
+  const Number bend = (slope0 + slope1) - (step + step);
+  const Number turn = slope1 - slope0;
   const Number lag = position - start;
   const Number lag_rate = velocity * frame.duration - slope0;
-  return {end + ((decay * lag + impulse * lag_rate) - (acceleration * constant + acceleration_slope * linear)),
-          rate * (slope1 + ((impulse_slope * lag_rate - restoring * lag) - (impulse * constant + acceleration * linear)))};
+  return {end + ((decay * lag + impulse * lag_rate) + (bend_position * bend - acceleration * turn)),
+          rate * (slope1 + ((impulse_slope * lag_rate - restoring * lag) + (bend_velocity * bend - impulse * turn)))};
+}
+
+// The factor of the bend in the velocity.
+template <typename Number>
+inline Number bend_of_velocity(Number impulse, Number acceleration) {
+  return 3.0 * impulse - 6.0 * acceleration;
+}
+
+// The first of a vertex's factors.
+inline const double* factors_of(const SpringsStep& frame, std::int64_t v) {
+  return frame.factors + v / factor_group * (factor_count * factor_group) + v % factor_group;
 }
 
 #ifdef FOLLOWTHROUGH_VECTORS
@@ -60,11 +70,11 @@ inline Lanes load(const double* place) { return *reinterpret_cast<const LanesInM
 inline void store(double* place, Lanes values) { *reinterpret_cast<LanesInMemory*>(place) = values; }
 
 inline void move_lanes(const SpringsStep& frame, double rate, std::int64_t i, Lanes decay, Lanes impulse, Lanes impulse_slope,
-                       Lanes restoring, Lanes acceleration, Lanes acceleration_slope) {
+                       Lanes restoring, Lanes acceleration, Lanes bend_position, Lanes bend_velocity) {
   const Lanes end = load(frame.end + i);
   const Moved<Lanes> now = moved<Lanes>(frame, rate, load(frame.positions + i), load(frame.velocities + i), load(frame.before + i),
                                         load(frame.start + i), end, load(frame.after + i), decay, impulse, impulse_slope, restoring,
-                                        acceleration, acceleration_slope);
+                                        acceleration, bend_position, bend_velocity);
   store(frame.before + i, end);
   store(frame.positions + i, now.position);
   store(frame.velocities + i, now.velocity);
@@ -79,29 +89,35 @@ void springs_step(const SpringsStep& arrays, std::int64_t first, std::int64_t la
   std::int64_t v = first;
 #ifdef FOLLOWTHROUGH_VECTORS
   for (; v + lanes <= last; v += lanes) {
-    const Lanes decay = load(frame.decay + v);
-    const Lanes impulse = load(frame.impulse + v);
-    const Lanes impulse_slope = load(frame.impulse_slope + v);
-    const Lanes restoring = load(frame.restoring + v);
-    const Lanes acceleration = load(frame.acceleration + v);
-    const Lanes acceleration_slope = load(frame.acceleration_slope + v);
+    const double* factors = factors_of(frame, v);
+    const Lanes decay = load(factors + factor_group * decay_factor);
+    const Lanes impulse = load(factors + factor_group * impulse_factor);
+    const Lanes impulse_slope = load(factors + factor_group * impulse_slope_factor);
+    const Lanes restoring = load(factors + factor_group * restoring_factor);
+    const Lanes acceleration = load(factors + factor_group * acceleration_factor);
+    const Lanes bend_position = load(factors + factor_group * bend_factor);
+    const Lanes bend_velocity = bend_of_velocity(impulse, acceleration);
     move_lanes(frame, rate, 3 * v, FOLLOWTHROUGH_SPREAD0(decay), FOLLOWTHROUGH_SPREAD0(impulse),
                FOLLOWTHROUGH_SPREAD0(impulse_slope), FOLLOWTHROUGH_SPREAD0(restoring), FOLLOWTHROUGH_SPREAD0(acceleration),
-               FOLLOWTHROUGH_SPREAD0(acceleration_slope));
+               FOLLOWTHROUGH_SPREAD0(bend_position), FOLLOWTHROUGH_SPREAD0(bend_velocity));
     move_lanes(frame, rate, 3 * v + lanes, FOLLOWTHROUGH_SPREAD1(decay), FOLLOWTHROUGH_SPREAD1(impulse),
                FOLLOWTHROUGH_SPREAD1(impulse_slope), FOLLOWTHROUGH_SPREAD1(restoring), FOLLOWTHROUGH_SPREAD1(acceleration),
-               FOLLOWTHROUGH_SPREAD1(acceleration_slope));
+               FOLLOWTHROUGH_SPREAD1(bend_position), FOLLOWTHROUGH_SPREAD1(bend_velocity));
     move_lanes(frame, rate, 3 * v + 2 * lanes, FOLLOWTHROUGH_SPREAD2(decay), FOLLOWTHROUGH_SPREAD2(impulse),
                FOLLOWTHROUGH_SPREAD2(impulse_slope), FOLLOWTHROUGH_SPREAD2(restoring), FOLLOWTHROUGH_SPREAD2(acceleration),
-               FOLLOWTHROUGH_SPREAD2(acceleration_slope));
+               FOLLOWTHROUGH_SPREAD2(bend_position), FOLLOWTHROUGH_SPREAD2(bend_velocity));
   }
 #endif
   for (; v < last; ++v) {
+    const double* factors = factors_of(frame, v);
+    const double impulse = factors[factor_group * impulse_factor], acceleration = factors[factor_group * acceleration_factor];
+    const double bend_velocity = bend_of_velocity(impulse, acceleration);
     for (std::int64_t i = 3 * v; i < 3 * v + 3; ++i) {
       const double end = frame.end[i];
-      const Moved<double> now = moved<double>(frame, rate, frame.positions[i], frame.velocities[i], frame.before[i], frame.start[i],
-                                              end, frame.after[i], frame.decay[v], frame.impulse[v], frame.impulse_slope[v],
-                                              frame.restoring[v], frame.acceleration[v], frame.acceleration_slope[v]);
+      const Moved<double> now =
+          moved<double>(frame, rate, frame.positions[i], frame.velocities[i], frame.before[i], frame.start[i], end, frame.after[i],
+                        factors[factor_group * decay_factor], impulse, factors[factor_group * impulse_slope_factor],
+                        factors[factor_group * restoring_factor], acceleration, factors[factor_group * bend_factor], bend_velocity);
       frame.before[i] = end;
       frame.positions[i] = now.position;
       frame.velocities[i] = now.velocity;
@@ -109,24 +125,24 @@ void springs_step(const SpringsStep& arrays, std::int64_t first, std::int64_t la
   }
 }
 
-bool all_finite(const double* values, std::int64_t count) noexcept {
-  // Zero times a number is zero, times infinity or NaN is NaN, which no further addition removes.
+bool finite_sum(const double* values, std::int64_t count) noexcept {
+  // No addition removes an infinity or NaN from a sum.
   constexpr int sums_count = 32;
   double sums[sums_count] = {};
   std::int64_t i = 0;
   for (; i + sums_count <= count; i += sums_count) {
     for (int k = 0; k < sums_count; ++k) {
-      sums[k] += values[i + k] * 0.0;
+      sums[k] += values[i + k];
     }
   }
   double sum = 0.0;
   for (; i < count; ++i) {
-    sum += values[i] * 0.0;
+    sum += values[i];
   }
   for (int k = 0; k < sums_count; ++k) {
     sum += sums[k];
   }
-  return sum == 0.0;
+  return sum - sum == 0.0;
 }
 
 }  // namespace followthrough::FOLLOWTHROUGH_ISA

@@ -23,6 +23,7 @@ from followthrough.blender.groups import (
     PinGroup,
     add_groups,
     read_paint,
+    remove_groups,
     write_group,
 )
 from followthrough.blender.rig_reading import read_surface
@@ -47,6 +48,7 @@ __all__ = [
     "clear",
     "read_paint",
     "read_surface",
+    "remove_groups",
     "skinned_meshes",
     "why_not_bakeable",
     "write_group",

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from followthrough.blender import modes, shape_keys
 from followthrough.blender.bake_report import BakeReport, ObjectReport
 from followthrough.blender.groups import PaintGroups, read_paint
+from followthrough.blender.probes import OffsetFinder
 from followthrough.blender.rig_reading import PoseReader, make_reader, read_surface
 from followthrough.blender.scene import NotBakeableError, require_bakeable
 from followthrough.blender.vertex_weights import read_weights
-from followthrough.character import BonePose, Pose
+from followthrough.character import BonePose, Pose, Surface
 from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings
 
@@ -73,10 +74,13 @@ class _Character:
     name: str
     motion: SecondaryMotion
     reader: PoseReader
+    finder: OffsetFinder | None
+    #: One a keyed frame; until a finder has found the offset, the displacement in the world.
     offsets: NDArray[np.float32]
     unkeyed: NDArray[np.float32]
     largest_displacement: float = 0.0
     largest_residual: float = 0.0
+    evaluations: int = 0
     unconverged: set[int] = field(default_factory=set)
 
 
@@ -134,11 +138,12 @@ class Bake:
 
     @property
     def total(self) -> int:
-        """Number of frames to simulate, pre-roll and cycles included."""
-        return len(self._schedule)
+        """Number of steps: frames to simulate, pre-roll and cycles included, and frames whose offsets are searched."""
+        searched = self.end - self.start + 1 if self._searched else 0
+        return len(self._schedule) + searched
 
     def run(self, patience: float | None = None) -> Iterator[Progress]:
-        """Simulate, one frame a step. Leaving the loop early cancels.
+        """Simulate, one frame a step, and then search offsets where bones do not tell them. Leaving the loop early cancels.
 
         While the core simulates a frame on a thread of its own, Blender already evaluates the next one in this thread.
 
@@ -158,6 +163,7 @@ class Bake:
             raise RuntimeError("run: this bake has already been run")
         try:
             yield from self._steps(patience)
+            yield from self._searches()
         finally:
             if not self._complete:
                 self.cancel()
@@ -218,9 +224,19 @@ class Bake:
             with _told_apart(f"Object '{name}'"):
                 motion = SecondaryMotion(surface, paint, settings.motion, self._dt)
             offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
+            finder = self._make_finder(obj, surface, settings.motion.minimum_stretch) if surface.rig is None else None
             reader = make_reader(obj, deformations[name], surface)
-            self._characters.append(_Character(name, motion, reader, offsets, unkeyed=np.empty_like(offsets[0])))
+            self._characters.append(
+                _Character(name, motion, reader, finder, offsets, unkeyed=np.empty_like(offsets[0]))
+            )
+        self._searched = [character for character in self._characters if character.finder is not None]
         self._schedule = self._make_schedule(frames)
+
+    def _make_finder(self, obj: bpy.types.Object, surface: Surface, minimum_stretch: float) -> OffsetFinder:
+        finder = OffsetFinder(obj.name, surface.rest_positions, minimum_stretch)
+        self._restore.append(finder.remove)
+        finder.require_effect(self._view_layer())
+        return finder
 
     def _make_schedule(self, frames: FrameRange) -> list[tuple[int, bool]]:
         """Frames to simulate, and whether they are keyed; the frame that follows the last one of a loop is `_after`."""
@@ -252,12 +268,12 @@ class Bake:
                 under_way = progress
             if next_poses is not None:
                 poses = next_poses
-            if done + 1 < self.total:
+            if done + 1 < len(self._schedule):
                 yield progress
         if under_way is not None:
             yield from self._wait(under_way, patience)
             self._collect(*self._schedule[-1])
-        self._complete = True
+        self._complete = not self._searched
         yield progress
 
     def _wait(self, under_way: Progress, patience: float | None) -> Iterator[Progress]:
@@ -265,6 +281,29 @@ class Bake:
             for character in self._characters:
                 while not character.motion.wait(patience):
                     yield under_way
+
+    def _searches(self) -> Iterator[Progress]:
+        """Turn the displacements of what bones alone do not move into offsets, frame by frame."""
+        for done, frame in enumerate(
+            range(self.start, self.end + 1) if self._searched else (), len(self._schedule) + 1
+        ):
+            self._scene_in(frame)
+            for character in self._searched:
+                with _told_apart(f"Object '{character.name}', frame {frame}"):
+                    self._search(character, frame)
+            self._complete = frame == self.end
+            yield Progress(done=done, total=self.total, frame=frame)
+
+    def _search(self, character: _Character, frame: int) -> None:
+        assert character.finder is not None
+        view_layer = self._view_layer()
+        to_world = character.reader.read(view_layer).world[:3, :3]
+        displacements = character.offsets[frame - self.start].astype(np.float64)
+        found = character.finder.find(view_layer, displacements @ np.linalg.inv(to_world).T)
+        character.offsets[frame - self.start] = found.offsets
+        residuals = np.linalg.norm(found.residuals @ to_world.T, axis=1)
+        character.largest_residual = max(character.largest_residual, float(residuals.max()))
+        character.evaluations += found.evaluations
 
     def _begin(self, frame: int, poses: list[Pose], following: list[Pose] | None) -> None:
         """Start a frame of all objects; the core works on it while Blender evaluates the next one here."""
@@ -278,7 +317,8 @@ class Bake:
                 result = character.motion.finish()
                 offsets = character.offsets[frame - self.start] if keyed else character.unkeyed
                 with np.errstate(over="ignore"):  # told below
-                    np.copyto(offsets, result.offsets, casting="same_kind")
+                    found = result.displacements if result.offsets is None else result.offsets
+                    np.copyto(offsets, found, casting="same_kind")
                 if not np.isfinite(offsets).all():
                     raise ValueError("the motion is no longer finite")
             if not result.converged and character.motion.settings.simulation.quality != "preview":
@@ -288,16 +328,19 @@ class Bake:
                 character.largest_residual = max(character.largest_residual, result.largest_residual)
 
     def _read(self, frame: int) -> list[Pose]:
-        scene = bpy.data.scenes.get(self._scene)
-        if scene is None:
-            raise NotBakeableError(f"Scene '{self._scene}' is no longer there")
-        scene.frame_set(frame)
+        self._scene_in(frame)
         view_layer = self._view_layer()
         poses = [character.reader.read(view_layer) for character in self._characters]
         for character, pose in zip(self._characters, poses, strict=True):
             if not _is_finite(pose):
                 raise ValueError(f"Object '{character.name}', frame {frame}: the pose is not finite (NaN or infinity)")
         return poses
+
+    def _scene_in(self, frame: int) -> None:
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is None:
+            raise NotBakeableError(f"Scene '{self._scene}' is no longer there")
+        scene.frame_set(frame)
 
     def _view_layer(self) -> bpy.types.ViewLayer:
         scene = bpy.data.scenes[self._scene]
@@ -352,7 +395,7 @@ class Bake:
             tets=len(volume.tet_mesh.tets),
             largest_displacement=character.largest_displacement,
             largest_residual=character.largest_residual,
-            sampled=volume.surface.rig is None,
+            evaluations_per_frame=character.evaluations / len(character.offsets),
             loose_vertices=character.motion.loose_vertex_count,
             unconverged=tuple(sorted(character.unconverged)),
         )
@@ -376,8 +419,8 @@ def _require_visible(name: str, scene: bpy.types.Scene, view_layer: bpy.types.Vi
 
 
 def _is_finite(pose: Pose) -> bool:
-    arrays = (pose.bone_matrices,) if isinstance(pose, BonePose) else (pose.positions, pose.jacobians)
-    return all(bool(np.isfinite(array).all()) for array in (*arrays, pose.world))
+    local = pose.bone_matrices if isinstance(pose, BonePose) else pose.positions
+    return bool(np.isfinite(local).all() and np.isfinite(pose.world).all())
 
 
 def _same_pose(first: Pose, last: Pose) -> bool:

@@ -20,9 +20,10 @@ class ObjectReport:
     largest_displacement : float
         Of all vertices and frames, metres in the world.
     largest_residual : float
-        Largest part of a displacement that no shape key can show because the rig flattens the skin there, metres.
-    sampled : bool
-        True where something other than a plain Armature modifier moves the mesh, and it was sampled by probes.
+        Largest part of a displacement that no shape key can show because the rig flattens or smooths the skin there, metres.
+    evaluations_per_frame : float
+        Where something else than a plain Armature modifier moves the mesh: how often Blender had to evaluate it for a frame to find
+        its offsets. 0 where bones told all.
     loose_vertices : int
         Vertices of the mesh in parts that no pin holds, where the solver needs one; they follow the armature.
     unconverged : tuple of int
@@ -36,7 +37,7 @@ class ObjectReport:
     tets: int
     largest_displacement: float
     largest_residual: float
-    sampled: bool
+    evaluations_per_frame: float = 0.0
     loose_vertices: int = 0
     unconverged: tuple[int, ...] = ()
 
@@ -46,7 +47,7 @@ class ObjectReport:
         found = []
         if self.largest_residual > _NOTABLE_RESIDUAL * self.largest_displacement:
             found.append(
-                f"{self.name}: the rig flattens the skin somewhere, where up to "
+                f"{self.name}: the rig flattens or smooths the skin somewhere, where up to "
                 f"{1000 * self.largest_residual:.2g} mm of the motion cannot be shown"
             )
         if self.loose_vertices:

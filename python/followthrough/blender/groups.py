@@ -72,6 +72,23 @@ def add_groups(obj: bpy.types.Object, surface: Surface | None = None) -> list[st
     return missing
 
 
+def remove_groups(obj: bpy.types.Object, names: Iterable[str], active: str = "") -> None:
+    """Remove the vertex groups of these names, where they are there.
+
+    The active group stays active; where it is one of them, the one of the name `active` becomes it.
+    """
+    names = set(names)
+    with object_mode(obj.name):
+        if obj.vertex_groups.active is not None and obj.vertex_groups.active.name not in names:
+            active = obj.vertex_groups.active.name
+        for name in names:
+            group = obj.vertex_groups.get(name)
+            if group is not None:
+                obj.vertex_groups.remove(group)
+        if obj.vertex_groups:
+            obj.vertex_groups.active_index = max(obj.vertex_groups.find(active), 0)
+
+
 def suggested_paint(obj: bpy.types.Object, surface: Surface) -> Paint:
     """`suggest_paint` with the bones of the mesh's armature, also where something else helps to move it."""
     return suggest_paint(surface if surface.rig is not None else with_skeleton(obj, surface))

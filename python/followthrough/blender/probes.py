@@ -1,27 +1,33 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sampling a deformation that no formula here knows, by probes.
+"""Meshes that something else than bones moves: where Blender puts them, and which offsets at rest show a displacement.
 
-One is the evaluated mesh, three more have every rest vertex moved a little along an axis; the differences are the
-columns of every vertex's Jacobian. The mesh's own coordinates are moved and put back within one call, bit for bit, so
-nothing is left behind whenever a bake stops.
+While such a mesh is baked it has a shape key more, which stands for the one that is to be baked: the offsets that
+`followthrough.offset_search` tries are written to it, and Blender evaluates the mesh. What is found is therefore exact,
+whatever the modifiers are.
 """
 
 from __future__ import annotations
 
 import bpy
 import numpy as np
-from numpy.typing import NDArray
 
 from followthrough.blender.scene import NotBakeableError
-from followthrough.blender.shape_keys import our_names, read_points
-from followthrough.character import SampledPose
+from followthrough.blender.shape_keys import TrialKey
+from followthrough.character import FloatArray, SampledPose
+from followthrough.offset_search import Deform, FoundOffsets, OffsetSearch
 
 #: How far a probe moves the vertices, relative to the mesh's size: far enough for float32, near enough for curves.
 PROBE = 2e-3
+#: Largest residual that a search leaves, relative to the mesh's size, where it can.
+TOLERANCE = 1e-5
+#: Rounding of a coordinate by Blender's modifiers, relative to the largest one.
+ROUNDING = 5e-7
+#: Share of vertices that shape keys do not move from which on a mesh is not worth a bake.
+STUCK = 0.99
 
 
-class ProbeReader:
-    """Reads where something that is not just bones puts a mesh, and how that changes with its rest vertices.
+class SampleReader:
+    """Reads where Blender's modifiers put a mesh.
 
     Parameters
     ----------
@@ -29,35 +35,19 @@ class ProbeReader:
         Of the mesh object.
     vertices
         Their number.
-    size
-        Of the mesh, in object space.
     """
 
-    def __init__(self, name: str, vertices: int, size: float) -> None:
+    def __init__(self, name: str, vertices: int) -> None:
         self._name = name
         self._vertices = vertices
-        self._step = PROBE * size
 
     def read(self, view_layer: bpy.types.ViewLayer) -> SampledPose:
-        """Sample the pose in the scene's current frame."""
-        mesh = evaluated(self._name, view_layer)
-        world = np.array(mesh.matrix_world, dtype=np.float64)
-        positions = self._positions(view_layer)
-        shapes = _Shapes(bpy.data.objects[self._name])
-        jacobians = np.empty((self._vertices, 3, 3))
-        try:
-            for axis in range(3):
-                shift = np.zeros(3, dtype=np.float32)
-                shift[axis] = self._step
-                shapes.move(shift)
-                view_layer.update()
-                jacobians[:, :, axis] = (self._positions(view_layer) - positions) / float(shift[axis])
-        finally:
-            shapes.put_back()
-            view_layer.update()
-        return SampledPose(positions=positions, jacobians=jacobians, world=world)
+        """Read the pose in the scene's current frame."""
+        world = np.array(evaluated(self._name, view_layer).matrix_world, dtype=np.float64)
+        return SampledPose(positions=self.positions(view_layer), world=world)
 
-    def _positions(self, view_layer: bpy.types.ViewLayer) -> NDArray[np.float64]:
+    def positions(self, view_layer: bpy.types.ViewLayer) -> FloatArray:
+        """Deformed vertices (v, 3) in object space."""
         mesh = evaluated(self._name, view_layer).data
         if len(mesh.vertices) != self._vertices:
             raise NotBakeableError(
@@ -68,34 +58,67 @@ class ProbeReader:
         return positions.reshape(-1, 3).astype(np.float64)
 
 
-class _Shapes:
-    """Everything of a mesh that says where its rest vertices are."""
+class OffsetFinder:
+    """Finds what a shape key must add so that a mesh shows a displacement in the scene's current frame.
 
-    def __init__(self, obj: bpy.types.Object) -> None:
-        self._mesh = obj.data
-        key = self._mesh.shape_keys
-        ours = our_names(key)
-        self._blocks = [block for block in key.key_blocks if block.name not in ours] if key is not None else []
-        self._saved = [read_points(block) for block in self._blocks]
-        if not self._blocks:
-            points = np.empty(len(self._mesh.vertices) * 3, dtype=np.float32)
-            self._mesh.vertices.foreach_get("co", points)
-            self._saved = [points.reshape(-1, 3)]
+    Parameters
+    ----------
+    name
+        Of the mesh object.
+    rest_positions : (v, 3) float64
+        Its Basis.
+    minimum_stretch
+        As in `OffsetSearch`.
+    """
 
-    def move(self, shift: NDArray[np.float32]) -> None:
-        self._write([points + shift for points in self._saved])
+    def __init__(self, name: str, rest_positions: FloatArray, minimum_stretch: float) -> None:
+        self._name = name
+        self._reader = SampleReader(name, len(rest_positions))
+        self._key = TrialKey(name)
+        size = float(np.ptp(rest_positions, axis=0).max())
+        rounding = ROUNDING * float(np.abs(rest_positions).max())
+        self._minimum_stretch = minimum_stretch
+        self._search = OffsetSearch(len(rest_positions), max(TOLERANCE * size, rounding), PROBE * size, minimum_stretch)
 
-    def put_back(self) -> None:
-        self._write(self._saved)
+    def find(self, view_layer: bpy.types.ViewLayer, displacements: FloatArray) -> FoundOffsets:
+        """Offsets that show the displacements (v, 3), in object space; the mesh is left as it was."""
 
-    def _write(self, shapes: list[NDArray[np.float32]]) -> None:
-        if self._blocks:
-            for block, points in zip(self._blocks, shapes, strict=True):
-                block.points.foreach_set("co", points.ravel())
-            self._mesh.shape_keys.update_tag()
-        else:
-            self._mesh.vertices.foreach_set("co", shapes[0].ravel())
-        self._mesh.update_tag()
+        try:
+            return self._search.find(self._deformed_by(view_layer), displacements)
+        finally:
+            self._key.hide()
+
+    def require_effect(self, view_layer: bpy.types.ViewLayer) -> None:
+        """Check that shape keys can move the mesh at all.
+
+        Raises
+        ------
+        NotBakeableError
+            Where modifiers put nearly every vertex where they want, wherever it is at rest.
+        """
+        try:
+            jacobians = self._search.measure(self._deformed_by(view_layer))
+        finally:
+            self._key.hide()
+        stretches = np.linalg.svd(jacobians, compute_uv=False)
+        stuck = float(np.mean(stretches[:, 0] < self._minimum_stretch))
+        if stuck > STUCK:
+            raise NotBakeableError(
+                f"Object '{self._name}' has modifiers that put its vertices in place whatever its shape keys do (such as "
+                "Surface Deform or Shrinkwrap): bake the mesh that it follows"
+            )
+
+    def _deformed_by(self, view_layer: bpy.types.ViewLayer) -> Deform:
+        def deform(offsets: FloatArray) -> FloatArray:
+            self._key.show(offsets)
+            view_layer.update()
+            return self._reader.positions(view_layer)
+
+        return deform
+
+    def remove(self) -> None:
+        """Take the shape key back."""
+        self._key.remove()
 
 
 def evaluated(name: str, view_layer: bpy.types.ViewLayer) -> bpy.types.Object:

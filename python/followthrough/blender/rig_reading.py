@@ -117,9 +117,9 @@ def rest_positions(obj: bpy.types.Object) -> FloatArray:
 
 
 def make_reader(obj: bpy.types.Object, deformation: Deformation, surface: Surface) -> PoseReader:
-    """Reader of this object's poses: bone matrices where a rig tells all, probes otherwise."""
+    """Reader of this object's poses: bone matrices where a rig tells all, deformed vertices otherwise."""
     if surface.rig is None:
-        return probes.ProbeReader(obj.name, len(surface.rest_positions), _size(surface))
+        return probes.SampleReader(obj.name, len(surface.rest_positions))
     assert deformation.skeleton is not None
     return BoneReader(obj, bpy.data.objects[deformation.skeleton], surface.rig.bone_names)
 
@@ -207,10 +207,6 @@ def _channels(armature: bpy.types.Object) -> FloatArray:
     channels = np.empty(len(armature.pose.bones) * 16, dtype=np.float32)
     armature.pose.bones.foreach_get("matrix_channel", channels)
     return channels.reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
-
-
-def _size(surface: Surface) -> float:
-    return float(np.ptp(surface.rest_positions, axis=0).max())
 
 
 def _triangles(mesh: bpy.types.Mesh) -> IntArray:

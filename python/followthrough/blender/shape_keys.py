@@ -96,6 +96,53 @@ def our_names(key: bpy.types.Key | None) -> frozenset[str]:
     return frozenset(record["names"]) & frozenset(key.key_blocks.keys()) | actions.animated_blocks(key)
 
 
+class TrialKey:
+    """A shape key that shows offsets before they are baked; `remove` leaves the mesh as it was."""
+
+    def __init__(self, name: str) -> None:
+        self._object = name
+        obj = bpy.data.objects[name]
+        with _same_active_key(obj):
+            self._made_basis = obj.data.shape_keys is None
+            if self._made_basis:
+                obj.shape_key_add(name="Basis", from_mix=False)
+            key = obj.data.shape_keys
+            block = obj.shape_key_add(name="Followthrough Trial", from_mix=False)
+            block.relative_key = key.reference_key
+            block.value = 1.0
+            self._name = block.name
+            self._basis = read_points(key.reference_key)
+
+    def show(self, offsets: NDArray[np.float64]) -> None:
+        """Add these offsets (v, 3), object space, to what the other shape keys show."""
+        self._write(bpy.data.objects[self._object].data, self._basis + offsets.astype(np.float32))
+
+    def hide(self) -> None:
+        """Add nothing again."""
+        obj = bpy.data.objects.get(self._object)
+        if obj is not None and self._is_on(obj.data):
+            self._write(obj.data, self._basis)
+
+    def remove(self) -> None:
+        """Take the key away, and the Basis where it was made for it."""
+        obj = bpy.data.objects.get(self._object)
+        if obj is None or not self._is_on(obj.data):
+            return
+        with object_mode(obj.name), _same_active_key(obj):
+            key = obj.data.shape_keys
+            obj.shape_key_remove(key.key_blocks[self._name])
+            if self._made_basis and len(key.key_blocks) == 1:
+                obj.shape_key_remove(key.key_blocks[0])
+
+    def _is_on(self, mesh: bpy.types.Mesh) -> bool:
+        return mesh.shape_keys is not None and self._name in mesh.shape_keys.key_blocks
+
+    def _write(self, mesh: bpy.types.Mesh, points: NDArray[np.float32]) -> None:
+        mesh.shape_keys.key_blocks[self._name].points.foreach_set("co", points.ravel())
+        mesh.shape_keys.update_tag()
+        mesh.update_tag()
+
+
 def read_points(block: bpy.types.ShapeKey) -> NDArray[np.float32]:
     """Coordinates of a shape key, (v, 3)."""
     points = np.empty(len(block.points) * 3, dtype=np.float32)

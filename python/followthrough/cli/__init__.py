@@ -33,7 +33,9 @@ class Command(Protocol):
 COMMANDS = {
     "tetrahedralize": "fill a surface mesh with tetrahedra",
     "simulate": "fill in a sequence's secondary motion with a solver",
+    "rollout": "fill in a sequence's secondary motion with the emulator",
     "evaluate": "measure a solver against a sequence's true motion",
+    "benchmark": "time every solver beside its error",
     "dataset": "make training sequences",
     "bake": "bake a character's secondary motion to shape keys",
 }

@@ -23,7 +23,7 @@ from followthrough.settings import SOLVERS, Settings, SimulationSettings, Spring
 if TYPE_CHECKING:
     import bpy
 
-    from followthrough.blender import BakeReport, FrameRange, ObjectSettings
+    from followthrough.blender import BakeReport, FrameRange, ObjectReport, ObjectSettings
 
 _NO_BLENDER = (
     "this command needs Blender's Python module: pip install 'followthrough[blender]', or run it inside Blender: "
@@ -301,11 +301,18 @@ def _print_report(report: BakeReport) -> None:
         print(
             f"{entry.name}: frames {report.start} to {report.end}, {entry.vertices} vertices, {entry.tets} tets, "
             f"largest displacement {entry.largest_displacement:.4g} m, largest residual {entry.largest_residual:.2g} m"
-            f"{', sampled by probes' if entry.sampled else ''}"
+            f"{_cost(entry)}"
         )
         for warning in entry.warnings:
             print(f"followthrough: warning: {warning}", file=sys.stderr)
     print(f"baked in {report.seconds:.1f} s")
+
+
+def _cost(entry: ObjectReport) -> str:
+    """What it took where bones do not tell everything."""
+    if not entry.evaluations_per_frame:
+        return ""
+    return f", searched with {entry.evaluations_per_frame:.1f} evaluations a frame"
 
 
 def _range(text: str) -> tuple[float, float]:

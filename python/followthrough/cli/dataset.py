@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from followthrough.cli.progress import ProgressBar
-from followthrough.datasets import ShapesRecipe, SphereRecipe, generate
+from followthrough.datasets import HeldOutRecipe, ShapesRecipe, SphereRecipe, generate
 from followthrough.datasets.generation import PRECISIONS
 from followthrough.datasets.motions import PUBLISHED_FRAMES
 from followthrough.datasets.spheres import PUBLISHED_STIFFNESSES
@@ -59,11 +59,27 @@ def add_parser(subparsers: Any) -> None:
         help="of E h^2 / (density edge^2), drawn evenly in its logarithm "
         f"(default {' '.join(f'{bound:g}' for bound in STIFFNESS_RANGE)})",
     )
+    held_out = kinds.add_parser(
+        "held-out",
+        help="characters that dance, to measure on and never to train on",
+        description="A fat, a thin-limbed, and an eared and tailed character of 5e4 Pa with softer and stiffer regions, in "
+        "dances with fast turns, jumps and stops. Shapes and motions are made by other means than those of the training "
+        "data. Files begin with the half that they are of: validation or test.",
+    )
+    _add_common(held_out, "dances of each character in each half", HeldOutRecipe.frames, HeldOutRecipe.seed)
 
 
-def _add_common(parser: argparse.ArgumentParser, motions: str, frames: int) -> None:
-    parser.add_argument("--motions", metavar="N", type=int, required=True, help=motions)
-    parser.add_argument("--seed", metavar="S", type=int, required=True, help="what the random numbers start from")
+def _add_common(parser: argparse.ArgumentParser, motions: str, frames: int, seed: int | None = None) -> None:
+    how_many = "" if seed is None else " (default %(default)s)"
+    parser.add_argument("--motions", metavar="N", type=int, required=seed is None, default=2, help=motions + how_many)
+    parser.add_argument(
+        "--seed",
+        metavar="S",
+        type=int,
+        required=seed is None,
+        default=seed,
+        help="what the random numbers start from" + how_many,
+    )
     parser.add_argument("-o", "--output", metavar="DIR", type=Path, required=True, help="folder of the data set")
     parser.add_argument(
         "--frames", metavar="F", type=int, default=frames, help="frames of a motion (default %(default)s)"
@@ -83,6 +99,8 @@ def run(args: argparse.Namespace) -> int:
 def _recipe(args: argparse.Namespace) -> Recipe:
     if args.kind == "sphere":
         return SphereRecipe(args.seed, tuple(args.stiffnesses), args.frames)
+    if args.kind == "held-out":
+        return HeldOutRecipe(args.seed, args.frames)
     return ShapesRecipe(args.seed, args.frames, tuple(args.stiffness_range))
 
 

@@ -39,6 +39,10 @@ def run(args: argparse.Namespace) -> int:
         raise ValueError(
             f"{args.sequence}: found no dynamic, expected the true motion (followthrough simulate fills it in)"
         )
+    if sequence.frame_count < 2:
+        raise ValueError(f"{args.sequence}: dynamic: found one frame, expected at least two")
+    if not len(sequence.tets):
+        raise ValueError(f"{args.sequence}: tets: found none, expected at least one (the elastic energy needs them)")
     solver = solver_options.make_solver(sequence, args)
     scores = evaluate(sequence, solver, lambda frames: with_progress(frames, "evaluate", quiet=args.quiet))
     print(as_json(scores) if args.json else as_text(scores))

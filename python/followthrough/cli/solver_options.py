@@ -6,11 +6,22 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from followthrough.elastic import MATERIALS, QUALITIES, CentralDifferences, ElasticBody, ImplicitEuler, Quality
+from followthrough.elastic import (
+    MATERIALS,
+    QUALITIES,
+    CentralDifferences,
+    ElasticBody,
+    ImplicitEuler,
+    MaterialName,
+    Quality,
+)
+from followthrough.emulator import Emulator
+from followthrough.emulator_weights import EmulatorWeights
 from followthrough.simulation import DEFAULT_DAMPING_RATIO, DEFAULT_STIFFNESS, load_constants, uniform_constants
 from followthrough.springs import Springs
 
@@ -21,6 +32,7 @@ if TYPE_CHECKING:
 #: Solver -> the options that it has.
 OPTIONS = {
     "springs": ("springs", "stiffness", "damping"),
+    "emulator": ("weights", "edge_length"),
     "implicit-euler": ("quality", "tolerance", "material"),
     "central-differences": ("substeps", "material"),
 }
@@ -31,8 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--solver",
         metavar="NAME",
-        default="springs",
-        help="springs (default), or finite elements of the sequence's own material: implicit-euler, central-differences",
+        help="springs (default), emulator (where --weights is given), or finite elements of the sequence's own material: "
+        "implicit-euler, central-differences",
     )
     springs = parser.add_argument_group("springs")
     springs.add_argument(
@@ -50,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         help=f"kd of every vertex, 1/s (default {DEFAULT_DAMPING_RATIO:g} of critical damping, 2 sqrt(ks))",
     )
+    add_emulator_arguments(parser)
     elastic = parser.add_argument_group("finite elements")
     elastic.add_argument(
         "--quality",
@@ -75,14 +88,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
+    """Those of the emulator alone."""
+    emulator = parser.add_argument_group("emulator")
+    emulator.add_argument("--weights", metavar="WEIGHTS.npz", type=Path, help="the network's weights")
+    emulator.add_argument(
+        "--edge-length",
+        metavar="L",
+        type=float,
+        help="edge of the volume's cubes, m (default: found from the tets' volumes)",
+    )
+
+
 def check(args: argparse.Namespace) -> None:
-    """Refuse a solver that is not there, and options of another one.
+    """Choose the default solver, refuse one that is not there, and options of another one.
 
     Raises
     ------
     ValueError
         Naming the option.
     """
+    if args.solver is None:
+        args.solver = "springs" if args.weights is None else "emulator"
     check_owners(args, OPTIONS)
     if args.springs is not None and (args.stiffness is not None or args.damping is not None):
         raise ValueError(
@@ -109,18 +136,62 @@ def make_solver(sequence: Sequence, args: argparse.Namespace) -> Solver:
     ValueError
         Where sequence and arguments do not make one.
     """
+    if args.solver == "emulator":
+        return make_emulator(sequence, args)
     if args.solver == "springs":
+        _require_free_vertex(sequence, args.sequence)
+        if len(sequence.tets):  # springs can do without; but not with some that no other solver takes
+            sound_body(sequence, args.sequence)
         if args.springs is not None:
             stiffness, damping = load_constants(args.springs, sequence.vertex_count)
         else:
             stiffness, damping = uniform_constants(sequence.vertex_count, args.stiffness, args.damping)
         return Springs(stiffness, damping, sequence.dt, sequence.constrained)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        body = ElasticBody.of_sequence(sequence, args.material or MATERIALS[0])
-    for warning in caught:
-        print(f"followthrough: warning: {args.sequence}: {warning.message}", file=sys.stderr)
+    body = sound_body(sequence, args.sequence, args.material or MATERIALS[0])
     if args.solver == "central-differences":
         return CentralDifferences(body, sequence.constrained, sequence.dt, substeps=args.substeps)
     quality: Quality = args.quality or "converged"
     return ImplicitEuler(body, sequence.constrained, sequence.dt, quality=quality, tolerance=args.tolerance)
+
+
+def sound_body(sequence: Sequence, path: Path, material: MaterialName = MATERIALS[0]) -> ElasticBody:
+    """The sequence as an elastic body; every solver wants the same of it. Inverted tets are warned of.
+
+    Raises
+    ------
+    ValueError
+        Naming the file, where tets have no volume, there are none, or no vertex is free.
+    """
+    _require_free_vertex(sequence, path)
+    with _warnings_of(path):
+        try:
+            return ElasticBody.of_sequence(sequence, material)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+
+def _require_free_vertex(sequence: Sequence, path: Path) -> None:
+    if sequence.constrained.all():
+        raise ValueError(f"{path}: constrained: found no free vertex, expected at least one")
+
+
+def make_emulator(sequence: Sequence, args: argparse.Namespace) -> Emulator:
+    """The emulator, with the weights that the arguments name."""
+    if args.weights is None:
+        raise ValueError(
+            "--weights: found none, expected a weights file of the emulator; this version brings none of its own: export one from "
+            "PyTorch with followthrough.training.network.save_weights, or use simulate --solver implicit-euler instead"
+        )
+    weights = EmulatorWeights.load(args.weights)
+    sound_body(sequence, args.sequence)
+    with _warnings_of(args.sequence):
+        return Emulator.of_sequence(sequence, weights, edge_length=args.edge_length)
+
+
+@contextmanager
+def _warnings_of(path: Path) -> Iterator[None]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    for warning in caught:
+        print(f"followthrough: warning: {path}: {warning.message}", file=sys.stderr)

@@ -70,6 +70,8 @@ class Production:
         """Simulate a sequence and write its file."""
         truth = simulate_truth(_rounded(self.recipe.make(item), self.precision), frame_done)
         path = self.directory / item.name
+        for _ in range(truth.sequence.frame_count, item.frames):
+            frame_done()  # those that will not come
         kept = truth.stopped_at is None or truth.stopped_at >= min(LEAST_FRAMES, item.frames)
         if kept:
             truth.sequence.save(path, self.precision)

@@ -16,7 +16,7 @@ from followthrough.sequences import Sequence
 ACCEPTED_RESIDUAL = 1e-8
 #: Newton iterations, and iterations of conjugate gradients within one: as "converged" has them, and of a step that is tried again.
 _FIRST_TRY: tuple[int | None, int | None] = (None, None)
-_PATIENCE = (1000, 20_000)
+_PATIENCE = (300, 5000)
 
 
 @dataclass(frozen=True, eq=False)

@@ -113,7 +113,7 @@ def test_every_frame_is_skinning_plus_displacement(character, prepare):
     prepare(character)
     expected = character.displacements(1, 8)
     report = character.bake()
-    assert not report.objects[0].sampled
+    assert not report.objects[0].evaluations_per_frame
     assert max(np.abs(step).max() for step in expected) > 0.01 * character.size
     for frame, displacement in enumerate(expected, start=1):
         error = character.positions(frame) - character.skinned(frame) - displacement

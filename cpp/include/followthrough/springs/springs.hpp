@@ -45,7 +45,7 @@ class Springs final : public Solver {
   Vector stiffness_, damping_;
   double dt_;
   std::vector<Index> pinned_;  // ascending
-  Values factors_;             // (6,n): SpringCoefficients of one frame, a row each
+  Values factors_;             // of one frame, in groups of vertices (SpringsFactor)
   Positions positions_, velocities_, reference_, before_;
   std::int64_t frames_ = -1;  // since the reset; -1: never reset
 };

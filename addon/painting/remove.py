@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Remove Followthrough: takes a character back to what it was before Add."""
+
+import bpy
+from bpy.types import Operator
+
+from followthrough.blender import clear, remove_groups
+
+from ..bake.session import running
+from ..characters import selected_characters
+
+
+class FOLLOWTHROUGH_OT_remove(Operator):
+    bl_idname = "followthrough.remove"
+    bl_label = "Remove Followthrough"
+    bl_description = (
+        "Take Followthrough off the selected characters: the bake, the vertex groups that it made with what is painted "
+        "on them, and the settings. Everything else stays"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if running() is not None:
+            cls.poll_message_set("A bake is under way")
+            return False
+        if not selected_characters(context):
+            cls.poll_message_set("The active object has no Followthrough")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        names = [obj.name for obj in selected_characters(context)]
+        for name in names:
+            remove(context, name)
+        self.report({"INFO"}, f"Removed Followthrough from {', '.join(names)}")
+        return {"FINISHED"}
+
+
+def remove(context: bpy.types.Context, name: str) -> None:
+    """Take it off one object."""
+    obj = context.scene.objects[name]
+    made = [group.name for group in obj.followthrough.made_groups]
+    painted = obj.vertex_groups.active
+    if obj.mode == "WEIGHT_PAINT" and obj == context.object and painted is not None and painted.name in made:
+        bpy.ops.object.mode_set(mode="OBJECT")
+    if obj.data.library is None:
+        clear(obj)
+        remove_groups(obj, made, obj.followthrough.previous_group)
+    obj.property_unset("followthrough")

@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+/// @file
+/// A patch network's weights as the kernels want them: first layers split into shares, last layers folded into the displacement
+/// perceptron, all in panels. Products of weights are taken in double precision.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <vector>
+
+#include "emulator/patch_kernel.hpp"
+#include "followthrough/emulator/patch_network.hpp"
+
+namespace followthrough {
+
+/// Floats that start at a cache line.
+class AlignedFloats {
+ public:
+  AlignedFloats() = default;
+  explicit AlignedFloats(std::size_t count);
+  float* data() const { return data_.get(); }
+
+ private:
+  struct Free {
+    void operator()(float* data) const;
+  };
+  std::unique_ptr<float[], Free> data_;
+};
+
+/// Features of a vertex are its own motion (five differences of 3 numbers, or two where the network does not see the reference),
+/// then k, m, k/m, then 1 where it is constrained.
+class PackedNetwork {
+ public:
+  /// @param network one that require_network accepts
+  explicit PackedNetwork(const PatchNetwork& network);
+
+  /// All but the frame's own arrays.
+  PatchFrame frame() const;
+  bool sees_reference() const { return motion_count_ == 15; }
+  /// Rings, starts and neighbours to be filled in.
+  std::vector<RingKernel>& rings() { return rings_; }
+  int motion_count() const { return motion_count_; }
+  int feature_count() const { return motion_count_ + 4; }
+  /// Floats that predict_changes needs.
+  std::size_t scratch_size() const;
+  /// Multiply-adds a vertex, and a neighbour of each ring.
+  double vertex_cost() const { return vertex_cost_; }
+  double edge_cost(std::size_t ring) const { return edge_costs_[ring]; }
+
+ private:
+  const float* keep(const std::vector<float>& numbers);
+  DenseKernel pack(const Eigen::MatrixXd& weight, const Eigen::VectorXd& bias);
+  void pack_ring(const Perceptron& perceptron);
+  std::vector<DenseKernel> pack_hidden(const Perceptron& perceptron, std::size_t first);
+
+  int motion_count_;
+  std::vector<AlignedFloats> numbers_;
+  std::vector<DenseKernel> inertia_, displacement_;
+  std::vector<std::vector<DenseKernel>> hidden_;  // of the rings
+  std::vector<RingKernel> rings_;
+  int joined_width_ = 0, widest_ = kPanel;
+  double vertex_cost_ = 0;
+  std::vector<double> edge_costs_;
+};
+
+}  // namespace followthrough

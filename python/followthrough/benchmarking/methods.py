@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is measured: a table of methods. Another one is another line of `METHODS`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from collections.abc import Sequence as SequenceOf
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from followthrough.benchmarking.scene import Scene
+from followthrough.character import FloatArray
+from followthrough.elastic import QUALITIES, CentralDifferences, ImplicitEuler, MaterialName, Quality
+from followthrough.simulation import uniform_constants
+from followthrough.solver import Solver, SolverState
+from followthrough.springs import Springs
+
+#: The method that the others are measured against.
+TRUTH = "implicit-euler/converged"
+
+
+class MethodUnavailableError(Exception):
+    """A method cannot run here; says why, and what would make it run."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A solver with its settings.
+
+    Attributes
+    ----------
+    name
+        "solver" or "solver/setting".
+    summary
+        What it is, in a few words.
+    make
+        Makes it for a scene; raises `MethodUnavailableError` where it cannot.
+    work
+        What the last step has taken, by name, of a solver that `make` has made; averaged over the frames.
+    forecast
+        How many seconds a frame will take, of a solver that may take minutes for one; it may step the solver.
+    """
+
+    name: str
+    summary: str
+    make: Callable[[Scene], Solver]
+    work: Callable[[Any], Mapping[str, float]] = lambda solver: {}
+    forecast: Callable[[Any, Scene], float] | None = None
+
+
+class SkinningAlone(Solver):
+    """No secondary motion at all: what a method must be better than."""
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self._positions = np.zeros((0, 3))
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices, n."""
+        return len(self._positions)
+
+    def reset(self, reference: ArrayLike) -> None:
+        """Start over on the reference."""
+        self._positions = np.asarray(reference, dtype=np.float64)
+
+    def step(self, reference: ArrayLike, next_reference: ArrayLike | None = None) -> FloatArray:
+        """The reference."""
+        self._positions = np.array(reference, dtype=np.float64)
+        return self._positions
+
+    def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
+        """Continue after frames that are known: nothing is carried over."""
+        self._positions = reference[-1]
+
+    def state(self) -> SolverState:
+        """The positions."""
+        return SolverState((self._positions,), 0)
+
+    def restore(self, state: SolverState) -> None:
+        """Go back to a state."""
+        (self._positions,) = state.arrays
+
+
+def _springs(scene: Scene) -> Solver:
+    sequence = scene.sequence
+    return Springs(*uniform_constants(sequence.vertex_count), sequence.dt, sequence.constrained)
+
+
+def _implicit_euler(quality: Quality, material: MaterialName) -> Callable[[Scene], Solver]:
+    return lambda scene: ImplicitEuler(
+        scene.body(material), scene.sequence.constrained, scene.sequence.dt, quality=quality
+    )
+
+
+def _newton_work(solver: ImplicitEuler) -> Mapping[str, float]:
+    last = solver.last_step
+    return {"Newton": last.iterations, "CG": last.linear_iterations, "unconverged": not last.converged}
+
+
+def _central_differences(scene: Scene) -> Solver:
+    return CentralDifferences(scene.body(), scene.sequence.constrained, scene.sequence.dt)
+
+
+def _central_differences_forecast(solver: CentralDifferences, scene: Scene) -> float:
+    # A frame at rest: one that bends and squeezes needs shorter substeps still.
+    solver.reset(scene.sequence.reference[0])
+    begun = time.perf_counter()
+    solver.step(scene.sequence.reference[0])
+    return time.perf_counter() - begun
+
+
+def _elastic(quality: Quality, material: MaterialName) -> Method:
+    name, what = (
+        ("implicit-euler", "the sequence's material")
+        if material == "invertible-stvk"
+        else ("corotational", "the cheap material")
+    )
+    return Method(
+        f"{name}/{quality}", f"backward Euler, {what}, {quality}", _implicit_euler(quality, material), _newton_work
+    )
+
+
+METHODS: tuple[Method, ...] = (
+    Method("skinning", "no secondary motion", lambda scene: SkinningAlone()),
+    Method("springs", "zero-restlength springs, default constants", _springs),
+    *(_elastic(quality, "invertible-stvk") for quality in QUALITIES),
+    *(_elastic(quality, "corotational") for quality in QUALITIES[:-1]),  # converged has the same error
+    Method(
+        "central-differences",
+        "explicit, as many substeps as are stable",
+        _central_differences,
+        lambda solver: {"substeps": solver.last_substeps},
+        _central_differences_forecast,
+    ),
+)
+
+
+def select(names: SequenceOf[str] | None) -> list[Method]:
+    """The methods of these names, or of these solvers (what is before the slash), in the table's order; None: all.
+
+    Raises
+    ------
+    ValueError
+        Where a name is none of theirs.
+    """
+    if names is None:
+        return list(METHODS)
+    known = dict.fromkeys(name for method in METHODS for name in (method.name.split("/")[0], method.name))
+    for name in names:
+        if name not in known:
+            raise ValueError(f"solvers: found {name}, expected some of {', '.join(known)}")
+    return [method for method in METHODS if method.name in names or method.name.split("/")[0] in names]
+
+
+def truth_method() -> Method:
+    """The method that the others are measured against."""
+    return next(method for method in METHODS if method.name == TRUTH)
