@@ -61,6 +61,31 @@ void voxelize(benchmark::State& state) {
 }
 BENCHMARK(voxelize)->ArgNames({"open", "split"})->ArgsProduct({{0, 1}, {0, 1}})->Unit(benchmark::kMillisecond);
 
+// What one bake makes once: the column of bake_time.py, an open tube of 14,000 vertices, and its weights on 20 bones.
+void make_volume(benchmark::State& state) {
+  constexpr int kSides = 105, kRings = 133;
+  Surface surface;
+  surface.vertices.resize(kRings * kSides, 3);
+  std::vector<Index> corners;
+  for (int r = 0; r < kRings; ++r) {
+    for (int s = 0; s < kSides; ++s) {
+      const double angle = 2 * std::numbers::pi * s / kSides;
+      surface.vertices.row(r * kSides + s) << 0.5 * std::cos(angle), 0.5 * std::sin(angle), 4.0 * r / (kRings - 1);
+      const int a = r * kSides + s, b = r * kSides + (s + 1) % kSides;
+      if (r + 1 < kRings) corners.insert(corners.end(), {a, b, b + kSides, a, b + kSides, a + kSides});
+    }
+  }
+  surface.triangles = Eigen::Map<const Triangles>(corners.data(), static_cast<Eigen::Index>(corners.size() / 3), 3);
+  const Values weights = Values::Random(surface.vertices.rows(), 20).cwiseAbs();
+  for (auto _ : state) {
+    const TetVolume volume = tetrahedralize(surface.vertices, surface.triangles, {25, 0, true});
+    const SurfaceTransfer transfer(surface.vertices, surface.triangles, volume.vertices, volume.tets, volume.own_offsets,
+                                   volume.own_triangles);
+    benchmark::DoNotOptimize(transfer(weights));
+  }
+}
+BENCHMARK(make_volume)->Unit(benchmark::kMillisecond);
+
 void embed_points(benchmark::State& state) {
   const Surface& surface = horseshoe(false);
   const TetVolume volume = tetrahedralize(surface.vertices, surface.triangles);

@@ -161,16 +161,16 @@ def distances_to_segments(points: FloatArray, segments: FloatArray) -> FloatArra
     -------
     (p,) float64, infinite where there is no segment.
     """
-    squared = np.full(len(points), np.inf)
+    columns = np.ascontiguousarray(points.T)
+    nearest = np.full(len(points), np.inf)
     for head, tail in segments:
         along = tail - head
         length_squared = float(along @ along)
-        apart = points - head
+        away = columns - head[:, None]
         if length_squared > 0:
-            share = np.clip(apart @ (along / length_squared), 0.0, 1.0)
-            apart -= share[:, None] * along
-        np.minimum(squared, np.einsum("ij,ij->i", apart, apart), out=squared)
-    distances: FloatArray = np.sqrt(squared)
+            away -= along[:, None] * np.clip((along / length_squared) @ away, 0.0, 1.0)
+        np.minimum(nearest, np.einsum("ij,ij->j", away, away), out=nearest)
+    distances: FloatArray = np.sqrt(nearest)
     return distances
 
 

@@ -232,8 +232,10 @@ def transfer_bone_weights(
     carried = np.zeros(0)
     for start in range(0, len(present), width):
         chosen = (position >= start) & (position < start + width)
-        dense = np.zeros((count, min(width, len(present) - start)))
-        np.add.at(dense, (rows[chosen], position[chosen] - start), shares[chosen])
+        columns_now = min(width, len(present) - start)
+        places_now = rows[chosen] * columns_now + position[chosen] - start
+        summed = np.bincount(places_now, weights=shares[chosen], minlength=count * columns_now).astype(np.float64)
+        dense = summed.reshape(count, columns_now)
         block = np.asarray(transfer(dense), dtype=np.float64)
         carried = block.sum(axis=1) if start == 0 else carried + block.sum(axis=1)
         # The total is one, or will be: what is dropped here is dropped below as well.

@@ -84,9 +84,59 @@ struct RowsByNumber {
   }
 };
 
+// Faces in a plane of the grid reach into no cell. In a cell of several cubes their vertices go where a neighbour on the surface
+// is: into the cube that shares most corners with the neighbour's.
+void follow_neighbours(const PreparedSurface& surface, const VoxelGrid& grid, const Cubes& cubes, const RowsByNumber& around,
+                       std::vector<Index>& own) {
+  const auto copies = [&](Index cell) {
+    const auto range = std::equal_range(cubes.cells.begin(), cubes.cells.end(), cell);
+    return std::pair(static_cast<Index>(range.first - cubes.cells.begin()), static_cast<Index>(range.second - cubes.cells.begin()));
+  };
+  std::vector<std::size_t> open;
+  for (std::size_t v = 0; v < own.size(); ++v) {
+    if (own[v] >= 0 || around.of(v).empty()) continue;
+    for (const Index cell : cells_at(surface.vertices.row(static_cast<Eigen::Index>(v)), grid)) {
+      const auto [first, last] = copies(cell);
+      if (last - first < 2) continue;
+      open.push_back(v);
+      break;
+    }
+  }
+  for (bool further = true; further;) {
+    std::vector<std::pair<std::size_t, Index>> found;
+    for (const std::size_t v : open) {
+      Index best = -1;
+      std::ptrdiff_t most = 0;
+      for (const Index corner : around.of(v)) {
+        for (int k = 0; k < 3; ++k) {
+          const Index beside = own[static_cast<std::size_t>(surface.triangles(corner / 3, k))];
+          if (beside < 0) continue;
+          const auto& there = cubes.nodes[static_cast<std::size_t>(beside)];
+          for (const Index cell : cells_at(surface.vertices.row(static_cast<Eigen::Index>(v)), grid)) {
+            const auto [first, last] = copies(cell);
+            for (Index cube = first; cube < last; ++cube) {
+              const auto& here = cubes.nodes[static_cast<std::size_t>(cube)];
+              const auto shared = std::count_if(
+                  here.begin(), here.end(), [&](Index node) { return std::find(there.begin(), there.end(), node) != there.end(); });
+              if (shared > most) {
+                most = shared;
+                best = cube;
+              }
+            }
+          }
+        }
+      }
+      if (best >= 0) found.emplace_back(v, best);
+    }
+    for (const auto& [v, cube] : found) own[v] = cube;
+    std::erase_if(open, [&](std::size_t v) { return own[v] >= 0; });
+    further = !found.empty();
+  }
+}
+
 // Where parts were split: the cube that carries the vertex's own triangles. Welded vertices share it.
-void choose_own_cubes(const PreparedSurface& surface, const Voxels& voxels, const std::vector<Index>& touch_cubes,
-                      std::vector<Index>& cubes) {
+void choose_own_cubes(const PreparedSurface& surface, const Voxels& voxels, const SplitCubes& split, std::vector<Index>& cubes) {
+  const std::vector<Index>& touch_cubes = split.touch_cubes;
   const auto corners = static_cast<std::size_t>(surface.triangles.size());
   const RowsByNumber around(static_cast<std::size_t>(surface.vertices.rows()), corners,
                             [&](std::size_t corner) { return surface.triangles.data()[corner]; });
@@ -104,6 +154,7 @@ void choose_own_cubes(const PreparedSurface& surface, const Voxels& voxels, cons
       }
     }
   }
+  follow_neighbours(surface, voxels.grid, split.cubes, around, own);
   for (std::size_t v = 0; v < cubes.size(); ++v) {
     const Index cube = own[static_cast<std::size_t>(surface.welded[static_cast<Eigen::Index>(v)])];
     if (cube >= 0) cubes[v] = cube;
@@ -188,7 +239,7 @@ TetVolume tetrahedralize(ConstPositions vertices, ConstTriangles triangles, cons
   std::vector<Index> carriers = cubes_of_vertices(vertices, grid, split.cubes);
   TetVolume volume;
   if (settings.split_parts) {
-    choose_own_cubes(surface, voxels, split.touch_cubes, carriers);
+    choose_own_cubes(surface, voxels, split, carriers);
     list_own_triangles(surface, voxels, split.touch_cubes, cut, volume);
   }
   volume.vertices = std::move(cut.vertices);

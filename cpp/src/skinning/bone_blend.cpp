@@ -2,10 +2,10 @@
 #include "skinning/bone_blend.hpp"
 
 #include <cmath>
-#include <limits>
 #include <string>
 
 #include "followthrough/errors.hpp"
+#include "instruction_set.hpp"
 
 namespace followthrough {
 namespace {
@@ -75,6 +75,22 @@ DualRow dual_row(const Quaterniond& rotation, const Matrix34& excess) {
   return row;
 }
 
+auto sum_kernel(Skinning skinning) {
+  const bool linear = skinning == Skinning::linear;
+  switch (instruction_set()) {
+#ifdef FOLLOWTHROUGH_HAS_avx512
+    case InstructionSet::avx512:
+      return linear ? avx512::sum_bone_matrices : avx512::sum_bone_quaternions;
+#endif
+#ifdef FOLLOWTHROUGH_HAS_avx2
+    case InstructionSet::avx2:
+      return linear ? avx2::sum_bone_matrices : avx2::sum_bone_quaternions;
+#endif
+    default:
+      return linear ? baseline::sum_bone_matrices : baseline::sum_bone_quaternions;
+  }
+}
+
 }  // namespace
 
 BoneBlend::BoneBlend(const BoneWeights& weights, const PosedBones& bones, Skinning skinning)
@@ -89,6 +105,7 @@ BoneBlend::BoneBlend(const BoneWeights& weights, const PosedBones& bones, Skinni
     require_rows("bone_rest_matrices", bones.rest_matrices.rows(), bone_count_);
     require_affine("bone_rest_matrices", bones.rest_matrices);
   }
+  sum_rows_ = sum_kernel(skinning);
   if (skinning == Skinning::linear) {
     prepare_linear(bones);
   } else {
@@ -139,27 +156,16 @@ void BoneBlend::prepare_dual_quaternions(const PosedBones& bones) {
   }
 }
 
-bool BoneBlend::bone_row(Index index, double weight, Eigen::Index& row) const {
-  row = index == no_bone ? bone_count_ : index;
-  return weight > 0.0 && weight <= std::numeric_limits<double>::max() && row >= 0 && row <= bone_count_ && index != bone_count_;
+double BoneBlend::sum_rows(Eigen::Index vertex, double* sum, bool& valid) const {
+  const Eigen::Index places = weights_.weights.cols();
+  return sum_rows_({table_.data(), bone_count_, weights_.indices.data() + vertex * weights_.indices.outerStride(),
+                    weights_.weights.data() + vertex * weights_.weights.outerStride(), places},
+                   sum, valid);
 }
 
 VertexTransform BoneBlend::linear_transform(Eigen::Index vertex, bool& valid) const {
-  const Index* indices = weights_.indices.row(vertex).data();
-  const double* weights = weights_.weights.row(vertex).data();
-  LinearRow sum = LinearRow::Zero();
-  double total = 0.0;
-  for (Eigen::Index place = 0; place < weights_.weights.cols(); ++place) {
-    const double weight = weights[place];
-    if (weight == 0.0) continue;
-    Eigen::Index row;
-    if (!bone_row(indices[place], weight, row)) {
-      valid = false;
-      continue;
-    }
-    sum += weight * table_.row(row).head<12>();
-    total += weight;
-  }
+  LinearRow sum;
+  const double total = sum_rows(vertex, sum.data(), valid);
   if (!(total > least_total_weight)) return {Matrix3d::Identity(), Vector3d::Zero()};
   sum *= 1.0 / total;
   const Eigen::Map<const Matrix34> blended(sum.data());
@@ -167,24 +173,8 @@ VertexTransform BoneBlend::linear_transform(Eigen::Index vertex, bool& valid) co
 }
 
 VertexTransform BoneBlend::dual_quaternion_transform(Eigen::Index vertex, bool& valid) const {
-  const Index* indices = weights_.indices.row(vertex).data();
-  const double* weights = weights_.weights.row(vertex).data();
-  DualRow sum = DualRow::Zero();
-  double total = 0.0;
-  for (Eigen::Index place = 0; place < weights_.weights.cols(); ++place) {
-    const double weight = weights[place];
-    if (weight == 0.0) continue;
-    Eigen::Index row;
-    if (!bone_row(indices[place], weight, row)) {
-      valid = false;
-      continue;
-    }
-    const auto bone = table_.row(row).head<20>();
-    // Of the two quaternions of a rotation, the one on the side of the sum so far.
-    const bool opposite = sum.head<4>().dot(bone.head<4>()) < 0.0;
-    sum += (opposite ? -weight : weight) * bone;
-    total += weight;
-  }
+  DualRow sum;
+  const double total = sum_rows(vertex, sum.data(), valid);
   if (!(total > least_total_weight)) return {Matrix3d::Identity(), Vector3d::Zero()};
 
   // The weights' total cancels: rotation and translation are both quotients of squares of the sum.

@@ -6,6 +6,7 @@
 #include <Eigen/Geometry>
 
 #include "followthrough/skinning/skinning.hpp"
+#include "skinning/bone_rows.hpp"
 
 namespace followthrough {
 
@@ -43,11 +44,13 @@ class BoneBlend {
   void prepare_dual_quaternions(const PosedBones& bones);
   VertexTransform linear_transform(Eigen::Index vertex, bool& valid) const;
   VertexTransform dual_quaternion_transform(Eigen::Index vertex, bool& valid) const;
-  bool bone_row(Index index, double weight, Eigen::Index& row) const;
+  /// Sums a vertex's rows of the table by weight, as both blends do; returns the total weight.
+  double sum_rows(Eigen::Index vertex, double* sum, bool& valid) const;
 
   BoneWeights weights_;
   Skinning skinning_;
   Eigen::Index bone_count_;
+  decltype(&baseline::sum_bone_matrices) sum_rows_ = nullptr;
   /// (b+1,12) or (b+1,20), the last row is `no_bone`. Linear: the 3x4 matrix. Dual quaternions: the rotation q (w, x, y, z), then
   /// the 4x4 matrix that takes a homogeneous rest position p to the quaternion (0, t(p)) q, where t(p) = M p - R p is the
   /// translation that makes the rigid motion (R, t) carry p where the bone's matrix M does.

@@ -22,10 +22,11 @@ inline Eigen::Vector3d stretch_solve(const Eigen::Matrix3d& jacobian, const Eige
   using Eigen::Vector3d;
   // The smallest singular value is at least 2 |det| / |J|^2 (the other two's product is at most half their sum of squares), so
   // this is proof, with some room for rounding, that nothing has to be clamped.
-  const double determinant = jacobian.determinant();
+  const Vector3d x = jacobian.col(0), y = jacobian.col(1), z = jacobian.col(2);
+  const Vector3d across = y.cross(z);
+  const double determinant = x.dot(across);
   if (2.0 * std::abs(determinant) > 1.0001 * minimum_stretch * jacobian.squaredNorm()) {
-    const Vector3d x = jacobian.col(0), y = jacobian.col(1), z = jacobian.col(2);
-    return Vector3d(y.cross(z).dot(displacement), z.cross(x).dot(displacement), x.cross(y).dot(displacement)) / determinant;
+    return Vector3d(across.dot(displacement), z.cross(x).dot(displacement), x.cross(y).dot(displacement)) / determinant;
   }
   const Eigen::JacobiSVD<Matrix3d> svd(jacobian, Eigen::ComputeFullU | Eigen::ComputeFullV);
   if (svd.info() != Eigen::Success) return Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());

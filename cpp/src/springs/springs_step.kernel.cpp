@@ -127,21 +127,17 @@ void springs_step(const SpringsStep& arrays, std::int64_t first, std::int64_t la
 
 bool finite_sum(const double* values, std::int64_t count) noexcept {
   // No addition removes an infinity or NaN from a sum.
-  constexpr int sums_count = 32;
-  double sums[sums_count] = {};
-  std::int64_t i = 0;
-  for (; i + sums_count <= count; i += sums_count) {
-    for (int k = 0; k < sums_count; ++k) {
-      sums[k] += values[i + k];
-    }
-  }
   double sum = 0.0;
-  for (; i < count; ++i) {
-    sum += values[i];
+  std::int64_t i = 0;
+#ifdef FOLLOWTHROUGH_VECTORS
+  Lanes sums[4] = {};
+  for (; i + 4 * lanes <= count; i += 4 * lanes) {
+    for (int k = 0; k < 4; ++k) sums[k] += load(values + i + lanes * k);
   }
-  for (int k = 0; k < sums_count; ++k) {
-    sum += sums[k];
-  }
+  const Lanes all = (sums[0] + sums[1]) + (sums[2] + sums[3]);
+  for (int k = 0; k < lanes; ++k) sum += all[k];
+#endif
+  for (; i < count; ++i) sum += values[i];
   return sum - sum == 0.0;
 }
 

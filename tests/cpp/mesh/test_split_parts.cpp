@@ -73,20 +73,23 @@ TEST_CASE("fingers are not glued") {
       CAPTURE(gap);
       CAPTURE(cells);
       const shapes::Shape shape = shapes::hand(gap);
-      shapes::Shape turned = shape;  // as hands are held: not along the grid
-      turned.vertices =
-          Positions(shape.vertices * Eigen::AngleAxisd(0.05, Eigen::Vector3d(1, 2, 3).normalized()).toRotationMatrix());
-      const TetVolume split = voxel(turned, cells), plain = voxel(turned, cells, false);
-      const auto finger = [&](const TetVolume& volume, int number) {
-        return carriers(volume, shape.vertices.rows(), [&](Eigen::Index v) {
-          const double x = shape.vertices(v, 0) - number * (0.8 + gap);
-          return shape.vertices(v, 2) > 2.5 && x > -1e-9 && x < 0.8 + 1e-9;
-        });
-      };
-      CHECK(parts(split) == 1);
-      for (int number = 0; number < 3; ++number) {
-        CHECK(shared(finger(split, number), finger(split, number + 1)) == 0);
-        CHECK(shared(finger(plain, number), finger(plain, number + 1)) > 0);
+      for (const double angle : {0.05, 0.0}) {  // as hands are held, and along the grid: the fingertips in one of its planes
+        CAPTURE(angle);
+        shapes::Shape turned = shape;
+        turned.vertices =
+            Positions(shape.vertices * Eigen::AngleAxisd(angle, Eigen::Vector3d(1, 2, 3).normalized()).toRotationMatrix());
+        const TetVolume split = voxel(turned, cells), plain = voxel(turned, cells, false);
+        const auto finger = [&](const TetVolume& volume, int number) {
+          return carriers(volume, shape.vertices.rows(), [&](Eigen::Index v) {
+            const double x = shape.vertices(v, 0) - number * (0.8 + gap);
+            return shape.vertices(v, 2) > 2.5 && x > -1e-9 && x < 0.8 + 1e-9;
+          });
+        };
+        CHECK(parts(split) == 1);
+        for (int number = 0; number < 3; ++number) {
+          CHECK(shared(finger(split, number), finger(split, number + 1)) == 0);
+          CHECK(shared(finger(plain, number), finger(plain, number + 1)) > 0);
+        }
       }
     }
   }
