@@ -101,13 +101,14 @@ void BlockPreconditioner::apply(const Vector& r, Vector& z) const {
   }
 }
 
-LinearReport solve(const BlockMatrix& matrix, const BlockPreconditioner& preconditioner, const Vector& b, double tolerance,
+LinearReport solve(const BlockMatrix& matrix, const Preconditioner& preconditioner, const Vector& b, double tolerance,
                    int most_iterations, Vector& x) {
   LinearReport report;
   x.setZero(b.size());
   double size = b.norm();
   const double goal = tolerance * size;
-  if (!(size > 0)) return report;
+  report.converged = !(size > 0);
+  if (report.converged) return report;
   Vector residual = b, z(b.size()), product(b.size());
   preconditioner.apply(residual, z);
   Vector direction = z;
@@ -129,6 +130,7 @@ LinearReport solve(const BlockMatrix& matrix, const BlockPreconditioner& precond
     direction = z + (new_slope / slope) * direction;
     slope = new_slope;
   }
+  report.converged = size <= goal;
   return report;
 }
 

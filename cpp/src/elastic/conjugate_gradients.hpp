@@ -6,14 +6,20 @@
 
 namespace followthrough {
 
+class Preconditioner {
+ public:
+  virtual ~Preconditioner() = default;
+  /// z = preconditioner^-1 r; z has r's size already.
+  virtual void apply(const Vector& r, Vector& z) const = 0;
+};
+
 /// Incomplete Cholesky factor without fill-in, A ~ (L + D) D^-1 (L + D)^T with L the strictly lower part of A: only the diagonal
 /// blocks are changed. L is kept in single precision (rounded alike on both sides, so that all stays symmetric), and within ranges
 /// of rows that know nothing of each other, one a thread.
-class BlockPreconditioner {
+class BlockPreconditioner final : public Preconditioner {
  public:
   void compute(const BlockMatrix& matrix);
-  /// z = preconditioner^-1 r
-  void apply(const Vector& r, Vector& z) const;
+  void apply(const Vector& r, Vector& z) const override;
 
  private:
   void compute_range(const BlockMatrix& matrix, Index first, Index last);
@@ -27,12 +33,13 @@ class BlockPreconditioner {
 
 struct LinearReport {
   int iterations = 0;
+  bool converged = false;           ///< to the tolerance
   bool negative_curvature = false;  ///< the matrix is not positive definite; x is the last iterate before that showed
 };
 
 /// @brief Solves matrix * x = b from x = 0.
 /// @param tolerance stops at |b - matrix x| <= tolerance |b|
-LinearReport solve(const BlockMatrix& matrix, const BlockPreconditioner& preconditioner, const Vector& b, double tolerance,
+LinearReport solve(const BlockMatrix& matrix, const Preconditioner& preconditioner, const Vector& b, double tolerance,
                    int most_iterations, Vector& x);
 
 }  // namespace followthrough

@@ -9,6 +9,7 @@
 
 #include "elastic/block_matrix.hpp"
 #include "elastic/conjugate_gradients.hpp"
+#include "elastic/sparse_cholesky.hpp"
 #include "followthrough/errors.hpp"
 
 namespace followthrough {
@@ -19,6 +20,8 @@ constexpr double smallest_move = 1e-11;
 // Armijo's constant: share of the predicted decrease that a step must bring.
 constexpr double sufficient_decrease = 1e-4;
 constexpr int most_halvings = 12;
+// What a multiplication of a factorization and a number of the factor in a solve take.
+constexpr double factor_nanoseconds = 0.04, solve_nanoseconds = 0.6;
 
 void require_number(const char* name, double value, bool zero_allowed) {
   if (!(std::isfinite(value) && (value > 0 || (zero_allowed && value == 0)))) {
@@ -48,7 +51,8 @@ struct ImplicitEuler::Parts {
   ExternalForces forces;
   std::vector<Index> rows, free;          // row of every vertex or -1; vertex of every row
   BlockMatrix matrix, constant, damping;  // constant: mass, its damping, and pins
-  BlockPreconditioner preconditioner;
+  SparseCholesky factor;
+  BlockPreconditioner fallback;
   Positions positions, before, reference;
   std::int64_t frames = -1;  // since the reset; -1: never reset
   StepReport report;
@@ -76,9 +80,12 @@ class ImplicitEuler::Step {
   bool within_tolerance(const Trial& trial) const { return trial.relative <= p_.newton.tolerance; }
   void assemble(const Positions& positions, Definiteness definiteness) const;
   std::optional<Vector> direction(const Trial& from, double linear_tolerance, Definiteness definiteness);
+  int iterations_worth_a_factor() const;
   bool advance(Trial& trial, const Vector& direction) const;
 
   Parts& p_;
+  bool factored_ = false;
+  int linear_iterations_ = 0;  // of the last solve
   ConstPositions reference_;
   Positions inertial_;
 };
@@ -154,13 +161,33 @@ void ImplicitEuler::Step::assemble(const Positions& positions, Definiteness defi
 // Newton's direction; none where the matrix turns out to be indefinite.
 std::optional<Vector> ImplicitEuler::Step::direction(const Trial& from, double linear_tolerance, Definiteness definiteness) {
   assemble(from.positions, definiteness);
-  p_.preconditioner.compute(p_.matrix);
+  const Vector right = -from.residual;
   Vector result;
-  const LinearReport linear = followthrough::solve(p_.matrix, p_.preconditioner, -from.residual, linear_tolerance,
-                                                   p_.newton.most_linear_iterations, result);
-  p_.report.linear_iterations += linear.iterations;
+  const auto solved = [&](const Preconditioner& preconditioner, int most_iterations) {
+    const LinearReport linear = followthrough::solve(p_.matrix, preconditioner, right, linear_tolerance, most_iterations, result);
+    p_.report.linear_iterations += linear.iterations;
+    linear_iterations_ = linear.iterations;
+    return linear;
+  };
+  // An earlier factor will do as long as the iterations that it costs take less time than a new one.
+  if (factored_ && linear_iterations_ <= iterations_worth_a_factor() / 2) {
+    const LinearReport linear = solved(p_.factor, iterations_worth_a_factor());
+    if (linear.negative_curvature) return std::nullopt;
+    if (linear.converged) return result;
+  }
+  factored_ = p_.factor.compute(p_.matrix);
+  if (!factored_) {
+    if (definiteness != Definiteness::kSemidefinite) return std::nullopt;
+    p_.fallback.compute(p_.matrix);  // definite, but not in single precision
+  }
+  const LinearReport linear =
+      factored_ ? solved(p_.factor, p_.newton.most_linear_iterations) : solved(p_.fallback, p_.newton.most_linear_iterations);
   if (linear.negative_curvature) return std::nullopt;
   return result;
+}
+
+int ImplicitEuler::Step::iterations_worth_a_factor() const {
+  return static_cast<int>(p_.factor.work() * factor_nanoseconds / (static_cast<double>(p_.factor.size()) * solve_nanoseconds));
 }
 
 // Takes as much of a direction as helps; false where nothing does.
@@ -250,6 +277,7 @@ ImplicitEuler::ImplicitEuler(const ElasticBody& body, std::shared_ptr<const Mate
                                          empty,
                                          std::move(constant),
                                          empty,
+                                         SparseCholesky(empty),
                                          {},
                                          {},
                                          {},
