@@ -141,19 +141,12 @@ class BoneReader:
         if len(armature.pose.bones) != self._count:
             raise NotBakeableError(f"Object '{self._armature}' has other bones than before: bake again")
         channels = _channels(armature)[self._bones]
-        world, armature_world = _matrix(mesh), _matrix(armature)
-        to_mesh = self._inverse(self._object, world) @ armature_world
-        to_armature = self._inverse(self._armature, armature_world) @ world
+        world, armature_world = probes.world_matrix(mesh), probes.world_matrix(armature)
+        to_mesh = inverse_affine(world) @ armature_world
+        to_armature = inverse_affine(armature_world) @ world
         with np.errstate(invalid="ignore", over="ignore"):  # whoever asked for the pose checks it
             matrices = to_mesh @ channels @ to_armature
         return BonePose(bone_matrices=np.asarray(matrices, dtype=np.float64), world=world, armature=to_mesh)
-
-    @staticmethod
-    def _inverse(name: str, world: FloatArray) -> FloatArray:
-        try:
-            return inverse_affine(world)
-        except ZeroDivisionError:
-            raise NotBakeableError(f"Object '{name}' is flat: its scale is 0 along some axis") from None
 
 
 def _armature_modifier(obj: bpy.types.Object) -> bpy.types.Modifier | None:

@@ -179,8 +179,8 @@ def make_emulator(sequence: Sequence, args: argparse.Namespace) -> Emulator:
     """The emulator, with the weights that the arguments name."""
     if args.weights is None:
         raise ValueError(
-            "--weights: found none, expected a weights file of the emulator; this version brings none of its own: export one from "
-            "PyTorch with followthrough.training.network.save_weights, or use simulate --solver implicit-euler instead"
+            "--weights: found none, expected a weights file of the emulator; this version brings none of its own: make one with "
+            "followthrough dataset and followthrough train, or use simulate --solver implicit-euler instead"
         )
     weights = EmulatorWeights.load(args.weights)
     sound_body(sequence, args.sequence)
