@@ -3,6 +3,7 @@
 
 import json
 import math
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,12 @@ from followthrough.benchmarking import measurement, methods, plot
 from followthrough.benchmarking.measurement import Result, measure
 from followthrough.benchmarking.methods import METHODS, TRUTH, Method, MethodUnavailableError, SkinningAlone, select
 from followthrough.benchmarking.scene import Scene, make_scene
+from followthrough.emulator_weights import EmulatorWeights
 from followthrough.evaluation import evaluate
 from followthrough.simulation import simulate
+
+sys.path.insert(0, str(Path(__file__).parent))
+from plain_network import random_parameters
 
 FRAMES = 5
 
@@ -192,6 +197,22 @@ def test_without_matplotlib_there_is_no_plot_and_a_word_about_it(
     said = capsys.readouterr()
     assert "pip install followthrough[plot]" in said.err and "| springs |" in said.out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["benchmark.json", "benchmark.md"]
+
+
+def test_emulators_are_measured_with_their_weights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.npz"
+    EmulatorWeights(random_parameters(0)).save(path)
+    assert run("--weights", str(path), "--solvers", "emulator", "--threads", "1", "2", "--json") == 0
+    (size,) = json.loads(capsys.readouterr().out)["sizes"]
+    results = size["results"]
+    assert [(result["name"], result["threads"]) for result in results] == [("emulator/mine", 1), ("emulator/mine", 2)]
+    assert results[0]["single_frame"] > 0 and "237,571 parameters" in results[0]["summary"]
+    assert "outside the" in results[0]["notes"][0]  # so coarse a mesh is softer than any that was learned
+    assert run("--weights", str(path), str(path)) == 2
+    assert "found two files mine.npz" in capsys.readouterr().err
+    path.write_bytes(b"")
+    assert run("--weights", str(path)) == 2
+    assert f"error: {path}: " in capsys.readouterr().err
 
 
 def test_what_is_left_out_is_said(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ Whatever slows the machine down for a while then slows all of them down, and rat
 from __future__ import annotations
 
 import time
+import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -57,6 +58,8 @@ class Result:
         The farthest that any vertex of the rollout is off, m.
     work
         What a frame took on average, by name.
+    notes
+        What the method warned of.
     """
 
     name: str
@@ -73,6 +76,7 @@ class Result:
     rollout_all: float = float("nan")
     largest: float = float("nan")
     work: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,7 @@ class _Lane:
     threads: int
     solver: Solver
     setup_ms: float
+    notes: list[str]
     judged: bool  # errors are measured here, and not again with other numbers of threads
     positions: FloatArray
     exploded: bool = False
@@ -167,6 +172,7 @@ class _Lane:
             rollout_all=root_mean(self.rollout),
             largest=float("inf") if self.exploded else self.largest,
             work={name: amount / len(times) for name, amount in self.work.items()},
+            notes=self.notes,
         )
 
 
@@ -235,7 +241,9 @@ def _set_up(
         _core.set_threads(number)
         try:
             begun = time.perf_counter()
-            solver = method.make(scene)
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                solver = method.make(scene)
             solver.reset(reference[0])
             solver.step(reference[1], None)
             setup = 1000 * (time.perf_counter() - begun)
@@ -248,7 +256,7 @@ def _set_up(
             continue
         solver.reset(reference[0])
         judged = method.name != TRUTH and all(lane.method.name != method.name for lane in lanes)
-        lanes.append(_Lane(method, number, solver, setup, judged, reference[0]))
+        lanes.append(_Lane(method, number, solver, setup, [str(w.message) for w in caught], judged, reference[0]))
     return lanes, skipped
 
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from numpy.typing import ArrayLike
 from followthrough.benchmarking.scene import Scene
 from followthrough.character import FloatArray
 from followthrough.elastic import QUALITIES, CentralDifferences, ImplicitEuler, MaterialName, Quality
+from followthrough.emulator import Emulator
+from followthrough.emulator_weights import EmulatorWeights
 from followthrough.simulation import uniform_constants
 from followthrough.solver import Solver, SolverState
 from followthrough.springs import Springs
@@ -64,9 +67,10 @@ class SkinningAlone(Solver):
         """Number of vertices, n."""
         return len(self._positions)
 
-    def reset(self, reference: ArrayLike) -> None:
+    def reset(self, reference: ArrayLike) -> FloatArray:
         """Start over on the reference."""
         self._positions = np.asarray(reference, dtype=np.float64)
+        return self._positions
 
     def step(self, reference: ArrayLike, next_reference: ArrayLike | None = None) -> FloatArray:
         """The reference."""
@@ -140,7 +144,23 @@ METHODS: tuple[Method, ...] = (
 )
 
 
-def select(names: SequenceOf[str] | None) -> list[Method]:
+def emulator(path: Path) -> Method:
+    """The emulator with the weights of a file.
+
+    Raises
+    ------
+    ValueError
+        Where it holds none.
+    """
+    weights = EmulatorWeights.load(path)
+    return Method(
+        f"emulator/{path.stem}",
+        f"patch network of {weights.parameter_count:,} parameters",
+        lambda scene: Emulator.of_sequence(scene.sequence, weights, edge_length=scene.edge),
+    )
+
+
+def select(names: SequenceOf[str] | None, methods: SequenceOf[Method] = METHODS) -> list[Method]:
     """The methods of these names, or of these solvers (what is before the slash), in the table's order; None: all.
 
     Raises
@@ -149,12 +169,12 @@ def select(names: SequenceOf[str] | None) -> list[Method]:
         Where a name is none of theirs.
     """
     if names is None:
-        return list(METHODS)
-    known = dict.fromkeys(name for method in METHODS for name in (method.name.split("/")[0], method.name))
+        return list(methods)
+    known = dict.fromkeys(name for method in methods for name in (method.name.split("/")[0], method.name))
     for name in names:
         if name not in known:
             raise ValueError(f"solvers: found {name}, expected some of {', '.join(known)}")
-    return [method for method in METHODS if method.name in names or method.name.split("/")[0] in names]
+    return [method for method in methods if method.name in names or method.name.split("/")[0] in names]
 
 
 def truth_method() -> Method:

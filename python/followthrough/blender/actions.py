@@ -23,11 +23,24 @@ HAS_SLOTS = "slots" in bpy.types.Action.bl_rna.properties
 _LINEAR = 1  # of Keyframe.interpolation
 
 
-def write_action(key: bpy.types.Key, name: str, frames: Sequence[int], blocks: Sequence[str]) -> None:
+def frame_length(scene: bpy.types.Scene) -> float:
+    """How far animation goes on in a frame of the scene: 1 where its time is not remapped."""
+    return float(scene.render.frame_map_old) / float(scene.render.frame_map_new)
+
+
+def scene_frames(times: tuple[int, int], scene: bpy.types.Scene) -> tuple[int, int]:
+    """First and last frame of the scene in which animation of these times plays."""
+    length = frame_length(scene)
+    return math.ceil(times[0] / length), math.floor(times[1] / length)
+
+
+def write_action(
+    key: bpy.types.Key, name: str, frames: Sequence[int], blocks: Sequence[str], length: float = 1.0
+) -> None:
     """Animate one shape key a frame: 0 in the frame before, 1 in its own, 0 in the next, linear between.
 
     The action becomes the shape keys' own where they had no animation; otherwise it plays from an NLA track beside
-    that.
+    that. `length` is the scene's `frame_length`: animation is read there instead of at the frame.
     """
     animation = key.animation_data or key.animation_data_create()
     foreign = animation.action is not None or len(animation.nla_tracks) > 0
@@ -46,7 +59,8 @@ def write_action(key: bpy.types.Key, name: str, frames: Sequence[int], blocks: S
     for frame, block in zip(frames, blocks, strict=True):
         curve = holder.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(block)}"].value')
         curve.group = group
-        points = np.array([frame - 1, 0, frame, 1, frame + 1, 0], dtype=np.float32)
+        times = length * np.array([frame - 1, frame, frame + 1])
+        points = np.column_stack([times, [0, 1, 0]]).ravel().astype(np.float32)
         curve.keyframe_points.add(3)
         for part in ("co", "handle_left", "handle_right"):
             curve.keyframe_points.foreach_set(part, points)
@@ -59,7 +73,10 @@ def write_action(key: bpy.types.Key, name: str, frames: Sequence[int], blocks: S
         return
     track = animation.nla_tracks.new()
     track.name = OURS
-    clip = track.strips.new(OURS, int(frames[0]) - 1, action)
+    start = length * (int(frames[0]) - 1)
+    clip = track.strips.new(OURS, math.floor(start), action)
+    if start != math.floor(start):
+        clip.frame_start_ui = start
     if HAS_SLOTS:
         clip.action_slot = slot
 

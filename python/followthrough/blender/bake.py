@@ -12,12 +12,13 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from followthrough.blender import modes, shape_keys
+from followthrough.blender import actions, modes, shape_keys
 from followthrough.blender.bake_report import BakeReport, ObjectReport
 from followthrough.blender.groups import PaintGroups, read_paint
 from followthrough.blender.probes import OffsetFinder
 from followthrough.blender.rig_reading import PoseReader, make_reader, read_surface
-from followthrough.blender.scene import NotBakeableError, require_bakeable
+from followthrough.blender.scene import NotBakeableError, require_bakeable, require_posed, skeletons_of
+from followthrough.blender.vertex_weights import read_weights
 from followthrough.character import BonePose, Pose, Surface
 from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings
@@ -76,6 +77,7 @@ class _Character:
     finder: OffsetFinder | None
     #: One a keyed frame; until a finder has found the offset, the displacement in the world.
     offsets: NDArray[np.float32]
+    unkeyed: NDArray[np.float32]
     largest_displacement: float = 0.0
     largest_residual: float = 0.0
     evaluations: int = 0
@@ -87,7 +89,7 @@ class Bake:
 
     Making one checks everything and builds the volumes. Nothing in the file changes before `finish`, except that until
     `finish` or `cancel`, which put it back, the scene's current frame moves, an earlier bake of the objects is muted,
-    and objects in Edit or Sculpt Mode leave it.
+    and objects and armatures in Edit or Sculpt Mode leave it.
 
     Parameters
     ----------
@@ -122,6 +124,7 @@ class Bake:
         for name in objects:
             _require_visible(name, scene, view_layer)
             require_bakeable(bpy.data.objects[name])
+            require_posed(bpy.data.objects[name])
         self._dt = scene.render.fps_base / scene.render.fps
         self._frame = (scene.frame_current, scene.frame_subframe)
         self._restore: list[Callable[[], None]] = []
@@ -182,8 +185,9 @@ class Bake:
                 self.cancel()
                 raise NotBakeableError(f"Object '{character.name}' has been removed or changed: bake again")
         self._put_back()
+        frames, length = range(self.start, self.end + 1), actions.frame_length(bpy.data.scenes[self._scene])
         for character in self._characters:
-            shape_keys.write(bpy.data.objects[character.name], range(self.start, self.end + 1), character.offsets)
+            shape_keys.write(bpy.data.objects[character.name], frames, character.offsets, length)
         modes.enter_modes(self._modes)
         self._back_to_frame()
         self._closed = True
@@ -206,7 +210,9 @@ class Bake:
         self._back_to_frame()
 
     def _prepare(self, scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange) -> None:
-        self._modes = modes.leave_modes(objects)
+        # An armature in Edit Mode shows its rest pose.
+        armatures = {armature.name for name in objects for armature in skeletons_of(bpy.data.objects[name])}
+        self._modes = modes.leave_modes([*objects, *sorted(armatures)])
         deformations = {name: require_bakeable(bpy.data.objects[name]) for name in objects}
         for name, deformation in deformations.items():
             obj = bpy.data.objects[name]
@@ -216,14 +222,17 @@ class Bake:
         scene.frame_set(self.start)
         for name, settings in objects.items():
             obj = bpy.data.objects[name]
-            surface = read_surface(obj)
-            paint = read_paint(obj, surface, settings.groups)
+            weights = read_weights(obj)
+            surface = read_surface(obj, weights)
+            paint = read_paint(obj, surface, settings.groups, weights)
             with _told_apart(f"Object '{name}'"):
                 motion = SecondaryMotion(surface, paint, settings.motion, self._dt)
             offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
             finder = self._make_finder(obj, surface, settings.motion.minimum_stretch) if surface.rig is None else None
             reader = make_reader(obj, deformations[name], surface)
-            self._characters.append(_Character(name, motion, reader, finder, offsets))
+            self._characters.append(
+                _Character(name, motion, reader, finder, offsets, unkeyed=np.empty_like(offsets[0]))
+            )
         self._searched = [character for character in self._characters if character.finder is not None]
         self._schedule = self._make_schedule(frames)
 
@@ -310,21 +319,23 @@ class Bake:
         for character in self._characters:
             with _told_apart(f"Object '{character.name}', frame {frame}"):
                 result = character.motion.finish()
+                offsets = character.offsets[frame - self.start] if keyed else character.unkeyed
                 with np.errstate(over="ignore"):  # told below
-                    offsets = (result.displacements if result.offsets is None else result.offsets).astype(np.float32)
+                    found = result.displacements if result.offsets is None else result.offsets
+                    np.copyto(offsets, found, casting="same_kind")
                 if not np.isfinite(offsets).all():
                     raise ValueError("the motion is no longer finite")
             if not result.converged and character.motion.settings.simulation.quality != "preview":
                 character.unconverged.add(frame)
             if keyed:
-                character.offsets[frame - self.start] = offsets
                 character.largest_displacement = max(character.largest_displacement, result.largest_displacement)
                 character.largest_residual = max(character.largest_residual, result.largest_residual)
 
     def _read(self, frame: int) -> list[Pose]:
         self._scene_in(frame)
         view_layer = self._view_layer()
-        poses = [character.reader.read(view_layer) for character in self._characters]
+        with _told_apart(f"frame {frame}"):
+            poses = [character.reader.read(view_layer) for character in self._characters]
         for character, pose in zip(self._characters, poses, strict=True):
             if not _is_finite(pose):
                 raise ValueError(f"Object '{character.name}', frame {frame}: the pose is not finite (NaN or infinity)")

@@ -45,6 +45,8 @@ class ObjectReport:
     def warnings(self) -> tuple[str, ...]:
         """Sentences for the artist, none where all went well."""
         found = []
+        if not self.largest_displacement:
+            found.append(f"{self.name}: nothing swings, because nothing moves in these frames; look at its animation")
         if self.largest_residual > _NOTABLE_RESIDUAL * self.largest_displacement:
             found.append(
                 f"{self.name}: the rig flattens or smooths the skin somewhere, where up to "

@@ -22,6 +22,8 @@ PROBE = 2e-3
 TOLERANCE = 1e-5
 #: Rounding of a coordinate by Blender's modifiers, relative to the largest one.
 ROUNDING = 5e-7
+#: Least stretch of an object along an axis, relative to its largest.
+FLAT = 1e-6
 #: Share of vertices that shape keys do not move from which on a mesh is not worth a bake.
 STUCK = 0.99
 
@@ -43,7 +45,7 @@ class SampleReader:
 
     def read(self, view_layer: bpy.types.ViewLayer) -> SampledPose:
         """Read the pose in the scene's current frame."""
-        world = np.array(evaluated(self._name, view_layer).matrix_world, dtype=np.float64)
+        world = world_matrix(evaluated(self._name, view_layer))
         return SampledPose(positions=self.positions(view_layer), world=world)
 
     def positions(self, view_layer: bpy.types.ViewLayer) -> FloatArray:
@@ -119,6 +121,21 @@ class OffsetFinder:
     def remove(self) -> None:
         """Take the shape key back."""
         self._key.remove()
+
+
+def world_matrix(obj: bpy.types.Object) -> FloatArray:
+    """From the object's space to the world, (4, 4).
+
+    Raises
+    ------
+    NotBakeableError
+        Where it flattens the object, so that nothing leads back.
+    """
+    matrix = np.array(obj.matrix_world, dtype=np.float64)
+    stretches = np.linalg.svd(matrix[:3, :3], compute_uv=False) if np.isfinite(matrix).all() else np.ones(3)
+    if not stretches.min() > FLAT * stretches.max():
+        raise NotBakeableError(f"Object '{obj.name}' is flat: its scale is 0 along some axis, or nearly so")
+    return matrix
 
 
 def evaluated(name: str, view_layer: bpy.types.ViewLayer) -> bpy.types.Object:

@@ -85,12 +85,35 @@ def require_bakeable(obj: bpy.types.Object) -> Deformation:
 
 def skeleton_of(obj: bpy.types.Object) -> bpy.types.Object | None:
     """The first armature object that moves this mesh."""
-    for modifier in obj.modifiers:
-        if modifier.type == "ARMATURE" and modifier.show_viewport and modifier.object is not None:
-            return modifier.object
+    return next(iter(skeletons_of(obj)), None)
+
+
+def skeletons_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    """All armature objects that move this mesh."""
+    found = [
+        modifier.object
+        for modifier in obj.modifiers
+        if modifier.type == "ARMATURE" and modifier.show_viewport and modifier.object is not None
+    ]
     if _is_deformed_by_parent(obj) and obj.parent.type == "ARMATURE":
-        return obj.parent
-    return None
+        found.append(obj.parent)
+    return found
+
+
+def require_posed(obj: bpy.types.Object) -> None:
+    """Check that the armatures show their pose.
+
+    Raises
+    ------
+    NotBakeableError
+        Where all of them are switched to their rest position, in which nothing moves.
+    """
+    armatures = skeletons_of(obj)
+    if armatures and all(armature.data.pose_position == "REST" for armature in armatures):
+        raise NotBakeableError(
+            f"Object '{obj.name}' has its armature '{armatures[0].name}' in Rest Position, where nothing moves: switch it to "
+            "Pose Position"
+        )
 
 
 def _is_deformed_by_parent(obj: bpy.types.Object) -> bool:
@@ -154,6 +177,11 @@ def _deformation(obj: bpy.types.Object, name: str) -> Deformation:
             behind.append(modifier.name)
     skeleton = skeleton_of(obj)
     if not chain and not _is_deformed_by_parent(obj):
+        hidden = [modifier.name for modifier in obj.modifiers if modifier.type == "ARMATURE" and not _is_idle(modifier)]
+        if hidden:
+            raise NotBakeableError(
+                f"{name} has its modifier '{hidden[0]}' switched off in the viewport: switch it on, or nothing moves the mesh"
+            )
         raise NotBakeableError(f"{name} is moved by no armature: give it an Armature modifier with an armature object")
     plain = len(chain) == 1 and _is_plain(obj, chain[0]) and not _has_active_keys(obj.data.shape_keys)
     return Deformation(

@@ -29,7 +29,9 @@ class _Record(TypedDict):
     basis: bool
 
 
-def write(obj: bpy.types.Object, frames: Sequence[int], offsets: NDArray[np.float32]) -> None:
+def write(
+    obj: bpy.types.Object, frames: Sequence[int], offsets: NDArray[np.float32], frame_length: float = 1.0
+) -> None:
     """Replace our shape keys on this mesh.
 
     Parameters
@@ -38,6 +40,8 @@ def write(obj: bpy.types.Object, frames: Sequence[int], offsets: NDArray[np.floa
         Scene frames, ascending and without gaps.
     offsets : (frames, v, 3) float32
         What each key adds to the Basis, in object space.
+    frame_length
+        `actions.frame_length` of the scene that plays them.
 
     Raises
     ------
@@ -54,15 +58,16 @@ def write(obj: bpy.types.Object, frames: Sequence[int], offsets: NDArray[np.floa
         key = obj.data.shape_keys
         basis = read_points(key.reference_key)
         names = []
+        points = np.empty_like(basis)
         for frame, offset in zip(frames, offsets, strict=True):
             block = obj.shape_key_add(name=f"Followthrough {frame:04d}", from_mix=False)
             block.relative_key = key.reference_key
             block.value = 0.0
-            block.points.foreach_set("co", (basis + offset).ravel())
+            block.points.foreach_set("co", np.add(basis, offset, out=points).ravel())
             names.append(block.name)
         record: _Record = {"start": int(frames[0]), "end": int(frames[-1]), "names": names, "basis": made_basis}
         key[RECORD] = json.dumps(record)
-        actions.write_action(key, f"{actions.OURS} {obj.name}", frames, names)
+        actions.write_action(key, f"{actions.OURS} {obj.name}", frames, names, frame_length)
         obj.data.update_tag()
 
 

@@ -205,7 +205,7 @@ def run(args: argparse.Namespace) -> int:
             frame_range = actions.play_action(armatures.values(), args.action)
         else:
             frame_range = actions.played_range(armatures.values())
-    start, end = frame_range or (None, None)
+    start, end = actions.scene_frames(frame_range, bpy.data.scenes[next(iter(chosen))]) if frame_range else (None, None)
     frames = blender.FrameRange(
         start=start if args.start is None else args.start,
         end=end if args.end is None else args.end,

@@ -30,7 +30,7 @@ def armature_modifier_without_object(character):
 
 def armature_modifier_switched_off(character):
     character.modifier.show_viewport = False
-    return "moved by no armature"
+    return "'Armature' switched off in the viewport"
 
 
 def empty_mesh(character):
@@ -149,9 +149,15 @@ def in_a_hidden_collection(character):
     return "is hidden"
 
 
+def rest_position(character):
+    character.armature.data.pose_position = "REST"
+    return "'Creature rig' in Rest Position"
+
+
 @pytest.mark.parametrize(
     "spoil",
     [
+        rest_position,
         no_weights,
         bones_that_do_not_deform,
         not_a_number,
@@ -206,6 +212,21 @@ def test_a_linked_mesh_is_refused(character, tmp_path, override):
     with pytest.raises(NotBakeableError, match="linked"):
         Bake(bpy.context.scene, {mesh.name: ObjectSettings()})
     assert mesh.data.shape_keys is None
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_a_scale_that_passes_through_zero_is_refused(character, sampled):
+    if sampled:
+        character.mesh.modifiers.new("Nothing", "SMOOTH").factor = 0.0
+    for frame, scale in ((1, 1.0), (4, 0.0), (8, 1.0)):
+        character.armature.scale.x = scale
+        character.armature.keyframe_insert("scale", frame=frame)
+    bpy.context.scene.frame_set(2)
+    bake = Bake(bpy.context.scene, {character.mesh_name: ObjectSettings()})
+    with pytest.raises(ValueError, match=r"frame 4: Object 'Creature.*' is flat"):
+        list(bake.run())
+    assert character.mesh.data.shape_keys is None
+    assert bpy.context.scene.frame_current == 2
 
 
 def test_one_bad_object_stops_all(make_character):
