@@ -67,9 +67,10 @@ class SkinningAlone(Solver):
         """Number of vertices, n."""
         return len(self._positions)
 
-    def reset(self, reference: ArrayLike) -> None:
+    def reset(self, reference: ArrayLike) -> FloatArray:
         """Start over on the reference."""
         self._positions = np.asarray(reference, dtype=np.float64)
+        return self._positions
 
     def step(self, reference: ArrayLike, next_reference: ArrayLike | None = None) -> FloatArray:
         """The reference."""
