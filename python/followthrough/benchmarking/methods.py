@@ -18,6 +18,7 @@ from followthrough.character import FloatArray
 from followthrough.elastic import QUALITIES, CentralDifferences, ImplicitEuler, MaterialName, Quality
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights
+from followthrough.quasistatic import OverQuasistatic, Quasistatic
 from followthrough.simulation import uniform_constants
 from followthrough.solver import Solver, SolverState
 from followthrough.springs import Springs
@@ -101,6 +102,17 @@ def _implicit_euler(quality: Quality, material: MaterialName) -> Callable[[Scene
     )
 
 
+def _over_quasistatic(springs: bool) -> Callable[[Scene], Solver]:
+    return lambda scene: OverQuasistatic(
+        Quasistatic(scene.body(), scene.sequence.constrained, quality="fine"), _springs(scene) if springs else None
+    )
+
+
+def _equilibrium_work(solver: OverQuasistatic) -> Mapping[str, float]:
+    last = solver.last_solve
+    return {"Newton": last.iterations, "CG": last.linear_iterations, "unconverged": not last.converged}
+
+
 def _newton_work(solver: ImplicitEuler) -> Mapping[str, float]:
     last = solver.last_step
     return {"Newton": last.iterations, "CG": last.linear_iterations, "unconverged": not last.converged}
@@ -134,6 +146,13 @@ def _elastic(quality: Quality, material: MaterialName) -> Method:
 METHODS: tuple[Method, ...] = (
     Method("skinning", "no secondary motion", lambda scene: SkinningAlone()),
     Method("springs", "zero-restlength springs, default constants", _springs),
+    Method("quasistatic", "every pose's static equilibrium", _over_quasistatic(False), _equilibrium_work),
+    Method(
+        "springs/over-quasistatic",
+        "springs that follow the static equilibria",
+        _over_quasistatic(True),
+        _equilibrium_work,
+    ),
     *(_elastic(quality, "invertible-stvk") for quality in QUALITIES),
     *(_elastic(quality, "corotational") for quality in QUALITIES[:-1]),  # converged has the same error
     *(
