@@ -5,13 +5,14 @@ SHELL := /bin/bash
 
 VENV := .venv
 PY := $(VENV)/bin/python
+TRAINING_VENV := .venv-training
 CMAKE := $(VENV)/bin/cmake
 SOURCES := $(shell find cpp/include cpp/src cpp/bindings cmake python -type f -not -name '*.so' -not -path '*/__pycache__/*') CMakeLists.txt pyproject.toml README.md
 CPP_FILES := $(shell find cpp tests/cpp examples/cpp -name '*.cpp' -o -name '*.hpp')
 DEMO_OUTPUT ?= demo-output
 BENCH_ARGS ?=
 
-.PHONY: help setup demo test test-cpp test-python test-blender test-blender-versions bench bench-bake lint format types tidy sanitize extension wheel clean
+.PHONY: help setup demo test test-cpp test-python test-slow test-blender test-blender-versions test-training bench bench-bake lint format types tidy sanitize extension wheel clean
 
 help: ## List the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 24
@@ -43,12 +44,29 @@ test-cpp: $(VENV)/.tools
 test-python: setup
 	@$(PY) -m pytest tests/python
 
+test-slow: setup ## Tests that take minutes: ten thousand frames of violence for every quality of the elastic solvers
+	@$(PY) -m pytest -m slow tests/python
+
 test-blender: setup
 	@$(PY) tools/require_bpy.py
 	@$(PY) -m pytest tests/blender
 
 test-blender-versions: $(VENV)/.tools ## The Blender tests in bpy 4.2, 4.5, 5.0 (Python 3.11) and 5.2 (Python 3.13)
 	@bash tools/test_blender_versions.sh
+
+$(TRAINING_VENV)/.tools: tools/requirements.py pyproject.toml
+	@[ -x $(TRAINING_VENV)/bin/python ] || "$$(bash tools/find_python.sh $(PYTHON))" -m venv $(TRAINING_VENV)
+	@echo "Installing PyTorch into $(TRAINING_VENV): minutes, and about 5 GB with the GPU libraries that PyPI's wheel wants"
+	@$(TRAINING_VENV)/bin/python tools/requirements.py training test > $(TRAINING_VENV)/requirements.txt
+	@$(TRAINING_VENV)/bin/python -m pip install --quiet --disable-pip-version-check -r $(TRAINING_VENV)/requirements.txt
+	@touch $@
+
+$(TRAINING_VENV)/.installed: $(TRAINING_VENV)/.tools $(SOURCES)
+	@$(TRAINING_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --force-reinstall .
+	@touch $@
+
+test-training: $(TRAINING_VENV)/.installed ## The tests that need PyTorch, in a virtual environment of its own (.venv-training)
+	@$(TRAINING_VENV)/bin/python -m pytest tests/training
 
 bench: setup ## Benchmarks of the core beside memory copy speed, and of the bake beside stepping the frames
 	@bash tools/apt_require.sh libbenchmark-dev
@@ -98,4 +116,4 @@ wheel: $(VENV)/.tools ## Build this Python's wheel in dist/
 	@$(PY) -m pip wheel --quiet --no-build-isolation --no-deps --wheel-dir dist .
 
 clean: ## Remove everything that was built
-	rm -rf build dist $(VENV) .venv-bpy* $(DEMO_OUTPUT) python/followthrough/*.so
+	rm -rf build dist $(VENV) $(TRAINING_VENV) .venv-bpy* $(DEMO_OUTPUT) python/followthrough/*.so

@@ -6,9 +6,11 @@
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 
+#include <memory>
 #include <optional>
 #include <string>
 
+#include "followthrough/elastic/material.hpp"
 #include "followthrough/errors.hpp"
 #include "followthrough/types.hpp"
 
@@ -19,6 +21,7 @@ void bind_emulator(pybind11::module_& m);
 void bind_mesh(pybind11::module_& m);
 void bind_skinning(pybind11::module_& m);
 void bind_motion(pybind11::module_& m);
+void bind_quasistatic(pybind11::module_& m);
 void bind_solver(pybind11::module_& m);
 void bind_springs(pybind11::module_& m);
 
@@ -42,5 +45,8 @@ inline std::optional<Positions> copy_of(const char* name, const std::optional<Ar
   if (!array) return std::nullopt;
   return Positions(positions_of(name, *array));
 }
+
+/// @throws InvalidInput where there is none of that name
+std::shared_ptr<const Material> material_named(const std::string& name);
 
 }  // namespace followthrough

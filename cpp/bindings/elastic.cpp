@@ -16,15 +16,15 @@ namespace {
 
 using release = py::call_guard<py::gil_scoped_release>;
 
+Definiteness definiteness(bool semidefinite) { return semidefinite ? Definiteness::kSemidefinite : Definiteness::kExact; }
+
+}  // namespace
+
 std::shared_ptr<const Material> material_named(const std::string& name) {
   if (name == "invertible-stvk") return std::make_shared<InvertibleStVK>();
   if (name == "corotational") return std::make_shared<CorotationalLinear>();
   throw InvalidInput("material", "found '" + name + "', expected 'invertible-stvk' or 'corotational'");
 }
-
-Definiteness definiteness(bool semidefinite) { return semidefinite ? Definiteness::kSemidefinite : Definiteness::kExact; }
-
-}  // namespace
 
 void bind_elastic(py::module_& m) {
   m.def(

@@ -24,5 +24,6 @@ PYBIND11_MODULE(_core, m) {
   followthrough::bind_skinning(m);
   followthrough::bind_motion(m);
   followthrough::bind_springs(m);
+  followthrough::bind_quasistatic(m);
   followthrough::bind_emulator(m);
 }

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -84,6 +85,14 @@ class Surface:
         if self.character_size is not None:
             return self.character_size
         return float(np.ptp(self.rest_positions @ self.object_scale.T, axis=0).max())
+
+    @cached_property
+    def bone_distances(self) -> FloatArray:
+        """Distance (v,) of every vertex at rest to the nearest of the bones, metres; infinite where there are none."""
+        if self.rig is None:
+            return np.full(len(self.rest_positions), np.inf)
+        scale = self.object_scale.T
+        return distances_to_segments(self.rest_positions @ scale, self.rig.holding_segments @ scale)
 
 
 @dataclass(frozen=True)
@@ -172,9 +181,7 @@ def flesh_thickness(surface: Surface) -> float:
     """
     if surface.rig is None or not len(surface.rig.holding_segments):
         return 0.0
-    scale = surface.object_scale.T
-    distances = distances_to_segments(surface.rest_positions @ scale, surface.rig.holding_segments @ scale)
-    return float(np.percentile(distances, 95))
+    return float(np.percentile(surface.bone_distances, 95))
 
 
 def suggest_paint(surface: Surface) -> Paint:
@@ -187,8 +194,7 @@ def suggest_paint(surface: Surface) -> Paint:
     thickness = flesh_thickness(surface)
     if surface.rig is None or thickness <= 0:
         return Paint(stiffness=neutral, mass=neutral.copy(), pins=np.zeros(count))
-    scale = surface.object_scale.T
-    depth = distances_to_segments(surface.rest_positions @ scale, surface.rig.holding_segments @ scale) / thickness
+    depth = surface.bone_distances / thickness
     fade = np.clip((0.6 - depth) / (0.6 - 0.35), 0.0, 1.0)
     return Paint(
         stiffness=np.clip(1.25 - depth, 0.0, 1.0),

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -140,7 +140,7 @@ class ElasticBody:
 
 @dataclass(frozen=True)
 class StepReport:
-    """What became of a step.
+    """What became of a step, or of a search for an equilibrium.
 
     Attributes
     ----------
@@ -149,13 +149,18 @@ class StepReport:
     iterations, linear_iterations : int
         Of Newton's method; of conjugate gradients, all in all.
     residual : float
-        Size of M (u(t+1) - 2 u(t) + u(t-1)) + dt² f, relative to the sizes of its two parts.
+        Of a step: size of M (u(t+1) - 2 u(t) + u(t-1)) + dt² f, relative to the sizes of its two parts.
     """
 
     converged: bool
     iterations: int
     linear_iterations: int
     residual: float
+
+    @classmethod
+    def of(cls, report: Any) -> Self:
+        """The core's, copied."""
+        return cls(report.converged, report.iterations, report.linear_iterations, report.residual)
 
 
 class _ElasticSolver(Solver):
@@ -254,8 +259,12 @@ class ImplicitEuler(_ElasticSolver):
     @property
     def last_step(self) -> StepReport:
         """How the last step went."""
-        last = self._core.last_step
-        return StepReport(last.converged, last.iterations, last.linear_iterations, last.residual)
+        return StepReport.of(self._core.last_step)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the last step has converged."""
+        return self.last_step.converged
 
 
 class CentralDifferences(_ElasticSolver):
@@ -272,7 +281,7 @@ class CentralDifferences(_ElasticSolver):
     dt
         Seconds a frame.
     substeps
-        Steps a frame; None: as many as are stable where each frame starts. Too few, and the body explodes.
+        Steps a frame; None: as many as are stable where each frame starts and where it leads. Too few, and the body explodes.
     gravity
         m/s².
     mass_damping

@@ -91,6 +91,7 @@ class RiggedMotion:
             raise ValueError("volume: found none of a rigged character, expected one that was made with a rig")
         self._bone_count = len(rig.bone_segments)
         self._solver = solver
+        self._ahead: tuple[Pose, Any] | None = None
         rest_matrices = np.zeros((0, 16)) if rig.bone_rest_matrices is None else _matrices(rig.bone_rest_matrices)
         self._core = _core.RiggedMotion(
             volume.rest_positions,
@@ -115,7 +116,7 @@ class RiggedMotion:
 
     def step(self, pose: Pose, next_pose: Pose | None) -> Frame:
         """Take one frame."""
-        return self._frame(self._core.step(self._pose(pose), None if next_pose is None else self._pose(next_pose)))
+        return self._frame(self._core.step(*self._poses(pose, next_pose)))
 
     def reference(self, pose: Pose) -> FloatArray:
         """Where the rig alone puts the volume's vertices, (n, 3) in the world, metres: what the solver is given."""
@@ -124,7 +125,7 @@ class RiggedMotion:
 
     def begin(self, pose: Pose, next_pose: Pose | None) -> None:
         """Start a frame on the core's own thread."""
-        self._core.begin(self._pose(pose), None if next_pose is None else self._pose(next_pose))
+        self._core.begin(*self._poses(pose, next_pose))
 
     def wait(self, seconds: float) -> bool:
         """Wait for it, so long at most; whether `finish` would no longer wait."""
@@ -140,6 +141,12 @@ class RiggedMotion:
         return Frame(
             offsets, displacements, largest_displacement, largest_residual, converged=_has_converged(self._solver)
         )
+
+    def _poses(self, pose: Pose, next_pose: Pose | None) -> tuple[Any, Any]:
+        """Both for the core; the pose ahead is the next call's pose."""
+        here = self._ahead[1] if self._ahead is not None and self._ahead[0] is pose else self._pose(pose)
+        self._ahead = None if next_pose is None else (next_pose, self._pose(next_pose))
+        return here, None if self._ahead is None else self._ahead[1]
 
     def _pose(self, pose: Pose) -> Any:
         if not isinstance(pose, BonePose):

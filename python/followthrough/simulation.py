@@ -34,7 +34,7 @@ def simulate(
     Parameters
     ----------
     sequence
-        The motion; its first frame is where the simulation starts, without secondary motion.
+        The motion; its first frame is where the simulation starts, without secondary motion (over static equilibria, in its own).
     solver
         Made for this sequence's vertices and dt.
     frames
@@ -52,8 +52,7 @@ def simulate(
     """
     reference = sequence.reference
     dynamic = np.empty_like(reference)
-    solver.reset(reference[0])
-    dynamic[0] = reference[0]
+    dynamic[0] = solver.reset(reference[0])
     for frame in frames(range(1, sequence.frame_count)):
         ahead = reference[frame + 1] if frame + 1 < sequence.frame_count else None
         dynamic[frame] = solver.step(reference[frame], ahead)

@@ -51,15 +51,22 @@ class Solver(ABC):
         """Number of vertices, n."""
         return int(self._core.vertex_count)
 
-    def reset(self, reference: ArrayLike) -> None:
+    def reset(self, reference: ArrayLike) -> FloatArray:
         """Start over on the reference (n, 3), m, moving with it.
+
+        Returns
+        -------
+        (n, 3) float64
+            The first frame's positions, m: the reference's own, unless a solver improves it (`quasistatic.OverQuasistatic`).
 
         Raises
         ------
         ValueError
             On a wrong shape or non-finite numbers; the state is then unchanged.
         """
-        self._core.reset(array_checks.positions("reference", reference))
+        positions = array_checks.positions("reference", reference)
+        self._core.reset(positions)
+        return positions
 
     def step(self, reference: ArrayLike, next_reference: ArrayLike | None = None) -> FloatArray:
         """Take one frame.
@@ -85,6 +92,11 @@ class Solver(ABC):
         after = None if next_reference is None else array_checks.positions("next_reference", next_reference)
         positions: FloatArray = self._core.step(array_checks.positions("reference", reference), after)
         return positions
+
+    @property
+    def converged(self) -> bool:
+        """Whether the last step is as exact as it was asked to be: true where a solver does not iterate."""
+        return True
 
     @abstractmethod
     def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:

@@ -39,8 +39,8 @@ class PlainBody:
         vt[np.linalg.det(vt) < 0, 2, :] *= -1
         return u, s, vt
 
-    def forces(self, positions: Array) -> Array:
-        """f of M a + f = 0."""
+    def forces(self, positions: Array, used: NDArray[np.bool_] | None = None) -> Array:
+        """f of M a + f = 0, of all tets or of some."""
         u, s, vt = self.stretches(positions)
         s = np.maximum(s, 0.1)
         green = (s**2 - 1) / 2
@@ -48,6 +48,8 @@ class PlainBody:
         stress = s * (2 * self.mu[:, None] * green + self.lam[:, None] * green.sum(axis=1, keepdims=True))
         stress -= self.c[:, None] * np.maximum(1 - volume, 0) ** 2 / 576 * volume / s
         piola = (u * stress[:, None, :]) @ vt
+        if used is not None:
+            piola[~used] = 0
         at_corners = self.volumes[:, None, None] * (piola @ self.inverse_edges.transpose(0, 2, 1))
         forces = np.zeros_like(positions)
         for k in range(3):

@@ -3,6 +3,8 @@
 
 import json
 import math
+import sys
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +18,12 @@ from followthrough.benchmarking import measurement, methods, plot
 from followthrough.benchmarking.measurement import Result, measure
 from followthrough.benchmarking.methods import METHODS, TRUTH, Method, MethodUnavailableError, SkinningAlone, select
 from followthrough.benchmarking.scene import Scene, make_scene
+from followthrough.emulator_weights import EmulatorWeights
 from followthrough.evaluation import evaluate
 from followthrough.simulation import simulate
+
+sys.path.insert(0, str(Path(__file__).parent))
+from plain_network import random_parameters
 
 FRAMES = 5
 
@@ -68,7 +74,7 @@ def test_errors_are_those_of_evaluate(scene: Scene) -> None:
         assert result.largest >= result.rollout_all
     assert results[TRUTH].largest == 0 < results["implicit-euler/fine"].largest
     assert results["implicit-euler/fine"].rollout_all < results["skinning"].rollout_all
-    assert results["central-differences"].work["substeps"] > 1
+    assert results["central-differences/stable"].work["substeps"] > 1
 
 
 @dataclass
@@ -133,6 +139,20 @@ def test_what_cannot_run_or_takes_too_long_is_skipped_with_a_reason(scene: Scene
     assert within["slow"].skipped is None
 
 
+def test_a_method_that_takes_more_than_its_share_is_stopped(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measurement, "LARGEST_SHARE", 0.01)
+
+    def wait(steps: int, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        time.sleep(0.1)
+        return positions
+
+    log = Log([])
+    results = by_name(measure(scene, [logged("slow", log, wait), logged("quick", log)], [1], seconds=30.0).results)
+    assert results["slow"].frames == 2  # two steps a frame, and 0.3 s of 30
+    assert results["slow"].notes[0].startswith("stopped after 2 of 5 frames")
+    assert results["quick"].frames == FRAMES and not results["quick"].notes
+
+
 def test_results_that_depend_on_threads_are_an_error(scene: Scene) -> None:
     class Racy(SkinningAlone):
         def step(self, reference: Any, next_reference: Any = None) -> NDArray[np.float64]:
@@ -192,6 +212,22 @@ def test_without_matplotlib_there_is_no_plot_and_a_word_about_it(
     said = capsys.readouterr()
     assert "pip install followthrough[plot]" in said.err and "| springs |" in said.out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["benchmark.json", "benchmark.md"]
+
+
+def test_emulators_are_measured_with_their_weights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.npz"
+    EmulatorWeights(random_parameters(0)).save(path)
+    assert run("--weights", str(path), "--solvers", "emulator", "--threads", "1", "2", "--json") == 0
+    (size,) = json.loads(capsys.readouterr().out)["sizes"]
+    results = size["results"]
+    assert [(result["name"], result["threads"]) for result in results] == [("emulator/mine", 1), ("emulator/mine", 2)]
+    assert results[0]["single_frame"] > 0 and "237,571 parameters" in results[0]["summary"]
+    assert "outside the" in results[0]["notes"][0]  # so coarse a mesh is softer than any that was learned
+    assert run("--weights", str(path), str(path)) == 2
+    assert "found two files mine.npz" in capsys.readouterr().err
+    path.write_bytes(b"")
+    assert run("--weights", str(path)) == 2
+    assert f"error: {path}: " in capsys.readouterr().err
 
 
 def test_what_is_left_out_is_said(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command line as a script meets it: files, standard output and error, exit status."""
 
+import json
 import os
 import re
 import signal
@@ -13,12 +14,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from elastic_scenes import bar
 
 import followthrough
 from followthrough import cli
 from followthrough.elastic import ElasticBody, ImplicitEuler
+from followthrough.quasistatic import Quasistatic
 from followthrough.sequences import Sequence
-from followthrough.simulation import DEFAULT_DAMPING_RATIO, DEFAULT_STIFFNESS, simulate
+from followthrough.simulation import DEFAULT_DAMPING_RATIO, DEFAULT_STIFFNESS, simulate, uniform_constants
+from followthrough.springs import Springs
 
 FRAMES, VERTICES = 20, 6
 
@@ -124,6 +128,53 @@ def test_the_elastic_solver_moves_the_sequence_with_its_own_material(
         capsys, "simulate", sequence, "--solver", "central-differences", "--substeps", 0, "-o", output
     )
     assert "tolerance: found 0" in refused(capsys, *command, "--tolerance", 0)
+    assert not output.exists()
+
+
+def test_every_frame_rests_in_its_pose_and_springs_swing_about_that(
+    tmp_path: Path, output: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rest, tets = bar(4, 1, 1)
+    bends = [rest + 0.1 * np.sin(frame) * rest[:, :1] ** 2 * [0, 1, 0] for frame in range(6)]
+    held = (rest[:, 0] < 0.1) | (rest[:, 0] > 0.7)
+    given = Sequence(rest, tets, held, np.full(len(rest), 5e4), 1 / 24, np.array(bends))
+    sequence = tmp_path / "bar.npz"
+    given.save(sequence)
+    options = ("--gravity", "0", "0", "-9.81", "--tolerance", "1e-6")
+    command = ("simulate", str(sequence), "--solver", "quasistatic", "-o", str(output))
+    assert cli.main([*command, *options]) == 0
+    assert "6 frames of 20 vertices" in capsys.readouterr().out
+    found = Sequence.load(output).dynamic
+    body = ElasticBody.of_sequence(given)
+    layer = Quasistatic(body, held, tolerance=1e-6, gravity=[0, 0, -9.81])
+    np.testing.assert_array_equal(found, [layer.solve(pose) for pose in given.reference])
+    assert np.abs(found - given.reference).max() > 1e-3
+
+    over = ("simulate", str(sequence), "--stiffness", "900", "--over", "quasistatic", "-o", str(output), "--quiet")
+    assert cli.main([*over, *options]) == 0
+    springs = Springs(*uniform_constants(len(rest), 900), given.dt, held)
+    expected = simulate(replace(given, reference=found), springs).dynamic
+    np.testing.assert_array_equal(Sequence.load(output).dynamic, expected)
+
+    capsys.readouterr()
+    assert cli.main([*command, "--quality", "fine", "--material", "corotational", "--quiet"]) == 0
+    assert not np.array_equal(Sequence.load(output).dynamic, found)
+    assert capsys.readouterr().err == ""
+    torn = tmp_path / "torn.npz"
+    replace(given, reference=np.array([rest, 100 * rest])).save(torn)
+    assert cli.main(["simulate", str(torn), *command[2:], "--material", "corotational", "--quiet"]) == 0
+    assert "1 frames have not converged, the first is 1" in capsys.readouterr().err
+    assert cli.main(["simulate", str(sequence), "-o", str(sequence), "--quiet"]) == 0
+    capsys.readouterr()
+    assert cli.main(["evaluate", str(sequence), "--solver", "quasistatic", "--json", "--quiet"]) == 0
+    assert json.loads(capsys.readouterr().out)["rollout_all"] > 0
+    output.unlink()
+    assert "only with springs" in refused(capsys, *command, "--over", "quasistatic")
+    assert "only with central-differences" in refused(capsys, *command, "--substeps", 5)
+    assert "gravity" in refused(capsys, "simulate", sequence, "--gravity", 0, 0, 1, "-o", output)
+    free = tmp_path / "free.npz"
+    replace(given, constrained=np.zeros(len(rest), dtype=bool)).save(free)
+    assert "nothing holds" in refused(capsys, "simulate", free, "--solver", "quasistatic", *options, "-o", output)
     assert not output.exists()
 
 

@@ -3,15 +3,12 @@ from __future__ import annotations
 
 import importlib
 import sys
-from pathlib import Path
 
+import broken_meshes as shapes
 import numpy as np
 import pytest
 
 from followthrough import mesh
-
-sys.path.insert(0, str(Path(__file__).parent))
-import broken_meshes as shapes
 
 
 @pytest.mark.parametrize("way", ["sound", "unwelded seams", "doubled faces", "degenerate faces", "inside out"])

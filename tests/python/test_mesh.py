@@ -2,16 +2,12 @@
 from __future__ import annotations
 
 import hashlib
-import sys
-from pathlib import Path
 
+import broken_meshes as shapes
 import numpy as np
 import pytest
 
 from followthrough import _core, mesh
-
-sys.path.insert(0, str(Path(__file__).parent))
-import broken_meshes as shapes
 
 
 def _volume(tet_mesh: mesh.TetMesh) -> float:

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "followthrough/elastic/elastic_body.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <string>
 
@@ -121,6 +122,25 @@ ElasticBody::ElasticBody(ConstPositions rest_positions, ConstTets tets, const El
     for (const Index v : corners) lumped_mass_[v] += 5 * mass;
   }
   edge_length_ = edges_sum / (6.0 * static_cast<double>(tets.rows()));
+  arrange();
+}
+
+ElasticBody ElasticBody::around(ConstMask vertices) const {
+  require_rows("vertices", vertices.size(), vertex_count_);
+  ElasticBody part = *this;
+  part.corners_.clear();
+  part.elements_.clear();
+  for (std::size_t tet = 0; tet < corners_.size(); ++tet) {
+    if (std::none_of(corners_[tet].begin(), corners_[tet].end(), [&](Index v) { return vertices[v]; })) continue;
+    part.corners_.push_back(corners_[tet]);
+    part.elements_.push_back(elements_[tet]);
+  }
+  part.arrange();
+  return part;
+}
+
+// Puts the elements into batches and the batches into colours.
+void ElasticBody::arrange() {
   batches_ = empty_batches(elements_.size());
   for (std::size_t tet = 0; tet < batches_.size() * batch_lanes; ++tet) {
     const Element& element = elements_[std::min(tet, elements_.size() - 1)];  // lanes to spare repeat the last one
@@ -142,6 +162,17 @@ ElasticBody::ElasticBody(const ElasticBody&) = default;
 ElasticBody::ElasticBody(ElasticBody&&) noexcept = default;
 ElasticBody& ElasticBody::operator=(const ElasticBody&) = default;
 ElasticBody& ElasticBody::operator=(ElasticBody&&) noexcept = default;
+
+Vector ElasticBody::rest_stiffness() const {
+  Vector stiffness = Vector::Zero(vertex_count_);
+  for (std::size_t tet = 0; tet < elements_.size(); ++tet) {
+    const Element& element = elements_[tet];
+    const Corners gradients = corner_gradients(element.gradients);
+    const double modulus = (element.constants.lambda + 4 * element.constants.mu) / 3;
+    for (int a = 0; a < 4; ++a) stiffness[corners_[tet][a]] += element.volume * modulus * gradients.col(a).squaredNorm();
+  }
+  return stiffness;
+}
 
 // Calls work(batch, first tet, one after its last) for all batches; those at work at a time share no vertex. Threads meet after
 // every colour, so it is a colour that must be worth them.
@@ -293,18 +324,20 @@ void ElasticBody::add_stiffness(std::size_t tet, ConstPositions positions, const
 void ElasticBody::add_stiffness(ConstPositions positions, const Material& material, Definiteness definiteness, double scale,
                                 BlockMatrix& matrix) const {
   const auto batch_stiffness = kernels().stiffness;
+  const bool convex = definiteness == Definiteness::kConvex;
   const bool closed_form = has_closed_form(material) && definiteness != Definiteness::kSemidefinite;
+  const Definiteness other = convex ? Definiteness::kSemidefinite : definiteness;
   for_batches(closed_form ? stiffness_nanoseconds : decomposed_nanoseconds,
               [&](std::size_t index, std::size_t first, std::size_t last) {
                 ElementBatch batch;
                 if (closed_form) {
                   load_edges(index, positions, batch);
-                  batch_stiffness(batches_[index], batch, InvertibleStVK::smallest_stretch);
+                  batch_stiffness(batches_[index], batch, InvertibleStVK::smallest_stretch, convex);
                 }
                 for (std::size_t tet = first; tet < last; ++tet) {
                   const std::size_t lane = tet - first;
                   if (!closed_form || batch.inside[lane] == 0) {
-                    add_stiffness(tet, positions, material, definiteness, scale, matrix);
+                    add_stiffness(tet, positions, material, other, scale, matrix);
                     continue;
                   }
                   // Corner 0 has minus the sum of the others, as row and as column.

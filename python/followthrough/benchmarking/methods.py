@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from collections.abc import Sequence as SequenceOf
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,9 @@ from numpy.typing import ArrayLike
 from followthrough.benchmarking.scene import Scene
 from followthrough.character import FloatArray
 from followthrough.elastic import QUALITIES, CentralDifferences, ImplicitEuler, MaterialName, Quality
+from followthrough.emulator import Emulator
+from followthrough.emulator_weights import EmulatorWeights
+from followthrough.quasistatic import OverQuasistatic, Quasistatic
 from followthrough.simulation import uniform_constants
 from followthrough.solver import Solver, SolverState
 from followthrough.springs import Springs
@@ -64,9 +68,10 @@ class SkinningAlone(Solver):
         """Number of vertices, n."""
         return len(self._positions)
 
-    def reset(self, reference: ArrayLike) -> None:
+    def reset(self, reference: ArrayLike) -> FloatArray:
         """Start over on the reference."""
         self._positions = np.asarray(reference, dtype=np.float64)
+        return self._positions
 
     def step(self, reference: ArrayLike, next_reference: ArrayLike | None = None) -> FloatArray:
         """The reference."""
@@ -97,13 +102,26 @@ def _implicit_euler(quality: Quality, material: MaterialName) -> Callable[[Scene
     )
 
 
+def _over_quasistatic(springs: bool) -> Callable[[Scene], Solver]:
+    return lambda scene: OverQuasistatic(
+        Quasistatic(scene.body(), scene.sequence.constrained, quality="fine"), _springs(scene) if springs else None
+    )
+
+
+def _equilibrium_work(solver: OverQuasistatic) -> Mapping[str, float]:
+    last = solver.last_solve
+    return {"Newton": last.iterations, "CG": last.linear_iterations, "unconverged": not last.converged}
+
+
 def _newton_work(solver: ImplicitEuler) -> Mapping[str, float]:
     last = solver.last_step
     return {"Newton": last.iterations, "CG": last.linear_iterations, "unconverged": not last.converged}
 
 
-def _central_differences(scene: Scene) -> Solver:
-    return CentralDifferences(scene.body(), scene.sequence.constrained, scene.sequence.dt)
+def _central_differences(substeps: int | None) -> Callable[[Scene], Solver]:
+    return lambda scene: CentralDifferences(
+        scene.body(), scene.sequence.constrained, scene.sequence.dt, substeps=substeps
+    )
 
 
 def _central_differences_forecast(solver: CentralDifferences, scene: Scene) -> float:
@@ -128,19 +146,45 @@ def _elastic(quality: Quality, material: MaterialName) -> Method:
 METHODS: tuple[Method, ...] = (
     Method("skinning", "no secondary motion", lambda scene: SkinningAlone()),
     Method("springs", "zero-restlength springs, default constants", _springs),
+    Method("quasistatic", "every pose's static equilibrium", _over_quasistatic(False), _equilibrium_work),
+    Method(
+        "springs/over-quasistatic",
+        "springs that follow the static equilibria",
+        _over_quasistatic(True),
+        _equilibrium_work,
+    ),
     *(_elastic(quality, "invertible-stvk") for quality in QUALITIES),
     *(_elastic(quality, "corotational") for quality in QUALITIES[:-1]),  # converged has the same error
-    Method(
-        "central-differences",
-        "explicit, as many substeps as are stable",
-        _central_differences,
-        lambda solver: {"substeps": solver.last_substeps},
-        _central_differences_forecast,
+    *(
+        Method(
+            f"central-differences/{substeps or 'stable'}",
+            f"explicit, {substeps or 'as many as are stable'} substeps",
+            _central_differences(substeps),
+            lambda solver: {"substeps": solver.last_substeps},
+            _central_differences_forecast,
+        )
+        for substeps in (100, None)
     ),
 )
 
 
-def select(names: SequenceOf[str] | None) -> list[Method]:
+def emulator(path: Path) -> Method:
+    """The emulator with the weights of a file.
+
+    Raises
+    ------
+    ValueError
+        Where it holds none.
+    """
+    weights = EmulatorWeights.load(path)
+    return Method(
+        f"emulator/{path.stem}",
+        f"patch network of {weights.parameter_count:,} parameters",
+        lambda scene: Emulator.of_sequence(scene.sequence, weights, edge_length=scene.edge),
+    )
+
+
+def select(names: SequenceOf[str] | None, methods: SequenceOf[Method] = METHODS) -> list[Method]:
     """The methods of these names, or of these solvers (what is before the slash), in the table's order; None: all.
 
     Raises
@@ -149,12 +193,12 @@ def select(names: SequenceOf[str] | None) -> list[Method]:
         Where a name is none of theirs.
     """
     if names is None:
-        return list(METHODS)
-    known = dict.fromkeys(name for method in METHODS for name in (method.name.split("/")[0], method.name))
+        return list(methods)
+    known = dict.fromkeys(name for method in methods for name in (method.name.split("/")[0], method.name))
     for name in names:
         if name not in known:
             raise ValueError(f"solvers: found {name}, expected some of {', '.join(known)}")
-    return [method for method in METHODS if method.name in names or method.name.split("/")[0] in names]
+    return [method for method in methods if method.name in names or method.name.split("/")[0] in names]
 
 
 def truth_method() -> Method:

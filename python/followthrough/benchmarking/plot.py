@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from followthrough.benchmarking.measurement import Result, SizeResult
-from followthrough.benchmarking.methods import METHODS, TRUTH
+from followthrough.benchmarking.methods import TRUTH
 from followthrough.benchmarking.report import Benchmark
 from followthrough.npz_files import written_whole
 
@@ -63,11 +63,12 @@ def _draw(panel: Any, size: SizeResult) -> None:
     panel.set(xscale="log", yscale="log", xlabel="ms a frame", ylabel="error, m (root mean square)")
     panel.grid(True, which="major", alpha=0.3)
     panel.axvline(_REAL_TIME_MS, color="0.6", linestyle=":", label="60 frames a second")
+    names = list(dict.fromkeys(result.name for result in size.results))
     threads = sorted({result.threads for result in size.results})
     for result in size.results:
         if result.skipped:
             continue
-        colour = f"C{[method.name for method in METHODS].index(result.name) % 10}"
+        colour = f"C{names.index(result.name) % 10}"
         if result.name == TRUTH:
             panel.axvline(result.ms_median, color=colour, linestyle="--", label=_label(result, threads))
         elif result.name == "skinning":

@@ -67,6 +67,7 @@ def as_markdown(benchmark: Benchmark) -> str:
         blocks.append(_heading(size))
         blocks.append(_table(size))
         blocks += [f"{result.name} was left out: {result.skipped}." for result in size.results if result.skipped]
+        blocks += [f"{name}: {note}." for name, note in _notes(size)]
         if size.unconverged:
             blocks.append(f"The truth itself has not converged in {size.unconverged} of {size.frames} frames.")
     blocks += [f"Left out: {what}." for what in benchmark.left_out]
@@ -85,6 +86,11 @@ def _heading(size: SizeResult) -> str:
         f"### {size.vertices:,} vertices\n\n{size.free_vertices:,} of them free, {size.tets:,} tets, edge {size.edge:.3g} m, "
         f"s = {size.dimensionless_stiffness:.3g}; {frames}."
     )
+
+
+def _notes(size: SizeResult) -> list[tuple[str, str]]:
+    """Each once, however many numbers of threads there are."""
+    return list(dict.fromkeys((result.name, note) for result in size.results for note in result.notes))
 
 
 def _table(size: SizeResult) -> str:

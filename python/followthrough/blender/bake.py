@@ -18,6 +18,7 @@ from followthrough.blender.groups import PaintGroups, read_paint
 from followthrough.blender.probes import OffsetFinder
 from followthrough.blender.rig_reading import PoseReader, make_reader, read_surface
 from followthrough.blender.scene import NotBakeableError, require_bakeable, require_posed, skeletons_of
+from followthrough.blender.vertex_weights import read_weights
 from followthrough.character import BonePose, Pose, Surface
 from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings
@@ -76,6 +77,7 @@ class _Character:
     finder: OffsetFinder | None
     #: One a keyed frame; until a finder has found the offset, the displacement in the world.
     offsets: NDArray[np.float32]
+    unkeyed: NDArray[np.float32]
     largest_displacement: float = 0.0
     largest_residual: float = 0.0
     evaluations: int = 0
@@ -220,14 +222,17 @@ class Bake:
         scene.frame_set(self.start)
         for name, settings in objects.items():
             obj = bpy.data.objects[name]
-            surface = read_surface(obj)
-            paint = read_paint(obj, surface, settings.groups)
+            weights = read_weights(obj)
+            surface = read_surface(obj, weights)
+            paint = read_paint(obj, surface, settings.groups, weights)
             with _told_apart(f"Object '{name}'"):
                 motion = SecondaryMotion(surface, paint, settings.motion, self._dt)
             offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
             finder = self._make_finder(obj, surface, settings.motion.minimum_stretch) if surface.rig is None else None
             reader = make_reader(obj, deformations[name], surface)
-            self._characters.append(_Character(name, motion, reader, finder, offsets))
+            self._characters.append(
+                _Character(name, motion, reader, finder, offsets, unkeyed=np.empty_like(offsets[0]))
+            )
         self._searched = [character for character in self._characters if character.finder is not None]
         self._schedule = self._make_schedule(frames)
 
@@ -314,14 +319,15 @@ class Bake:
         for character in self._characters:
             with _told_apart(f"Object '{character.name}', frame {frame}"):
                 result = character.motion.finish()
+                offsets = character.offsets[frame - self.start] if keyed else character.unkeyed
                 with np.errstate(over="ignore"):  # told below
-                    offsets = (result.displacements if result.offsets is None else result.offsets).astype(np.float32)
+                    found = result.displacements if result.offsets is None else result.offsets
+                    np.copyto(offsets, found, casting="same_kind")
                 if not np.isfinite(offsets).all():
                     raise ValueError("the motion is no longer finite")
             if not result.converged and character.motion.settings.simulation.quality != "preview":
                 character.unconverged.add(frame)
             if keyed:
-                character.offsets[frame - self.start] = offsets
                 character.largest_displacement = max(character.largest_displacement, result.largest_displacement)
                 character.largest_residual = max(character.largest_residual, result.largest_residual)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from followthrough.blender.modes import object_mode
 from followthrough.blender.rig_reading import read_surface, with_skeleton
-from followthrough.blender.vertex_weights import read_weights
+from followthrough.blender.vertex_weights import VertexWeights, read_weights
 from followthrough.character import FloatArray, Paint, Surface, suggest_paint
 
 STIFFNESS_GROUP = "Followthrough Stiffness"
@@ -94,7 +94,12 @@ def suggested_paint(obj: bpy.types.Object, surface: Surface) -> Paint:
     return suggest_paint(surface if surface.rig is not None else with_skeleton(obj, surface))
 
 
-def read_paint(obj: bpy.types.Object, surface: Surface, groups: PaintGroups | None = None) -> Paint:
+def read_paint(
+    obj: bpy.types.Object,
+    surface: Surface,
+    groups: PaintGroups | None = None,
+    weights: VertexWeights | None = None,
+) -> Paint:
     """Read what is painted.
 
     Parameters
@@ -105,6 +110,8 @@ def read_paint(obj: bpy.types.Object, surface: Surface, groups: PaintGroups | No
         What `read_surface` gave for it.
     groups
         Which groups; the usual ones where it is None.
+    weights
+        What `read_weights` gave for the object, where the caller has that already.
 
     Raises
     ------
@@ -118,17 +125,17 @@ def read_paint(obj: bpy.types.Object, surface: Surface, groups: PaintGroups | No
     if pins is None and _if_there(obj, PINS_GROUP):
         pins = (PinGroup(PINS_GROUP),)
     names = [*filter(None, (stiffness, mass)), *(group.name for group in pins or ())]
-    weights = _read_groups(obj, names)
+    painted = _read_groups(obj, names, weights)
     if stiffness is not None and mass is not None and pins is not None:
         paint = Paint(*(np.zeros(len(surface.rest_positions)) for _ in range(3)))  # all of it painted
     else:
         paint = suggested_paint(obj, surface)
     if stiffness is not None:
-        paint = replace(paint, stiffness=weights[stiffness])
+        paint = replace(paint, stiffness=painted[stiffness])
     if mass is not None:
-        paint = replace(paint, mass=weights[mass])
+        paint = replace(paint, mass=painted[mass])
     if pins is not None:
-        strengths = [weights[group.name] * group.strength for group in pins]
+        strengths = [painted[group.name] * group.strength for group in pins]
         paint = replace(paint, pins=np.max([np.zeros(len(surface.rest_positions)), *strengths], axis=0))
     return paint
 
@@ -155,7 +162,7 @@ def _if_there(obj: bpy.types.Object, name: str) -> str | None:
     return name if name in obj.vertex_groups else None
 
 
-def _read_groups(obj: bpy.types.Object, names: Iterable[str]) -> dict[str, FloatArray]:
+def _read_groups(obj: bpy.types.Object, names: Iterable[str], weights: VertexWeights | None) -> dict[str, FloatArray]:
     """Weights (v,) of the named groups, 0 where a vertex is not in one."""
     indices = {}
     for name in dict.fromkeys(names):
@@ -166,5 +173,5 @@ def _read_groups(obj: bpy.types.Object, names: Iterable[str]) -> dict[str, Float
         indices[name] = group.index
     if not indices:
         return {}
-    weights = read_weights(obj)
+    weights = weights or read_weights(obj)
     return {name: weights.of_group(index) for name, index in indices.items()}

@@ -10,11 +10,12 @@ from typing import Any, Protocol
 import bpy
 import numpy as np
 
+from followthrough.affine import inverse_affine
 from followthrough.blender import probes
 from followthrough.blender.modes import object_mode
 from followthrough.blender.scene import Deformation, NotBakeableError, require_bakeable, skeleton_of
 from followthrough.blender.shape_keys import read_points
-from followthrough.blender.vertex_weights import read_weights
+from followthrough.blender.vertex_weights import VertexWeights, read_weights
 from followthrough.character import BonePose, FloatArray, IntArray, Pose, Rig, Surface
 
 
@@ -25,8 +26,15 @@ class PoseReader(Protocol):
         """Read it from the view layer's evaluated state."""
 
 
-def read_surface(obj: bpy.types.Object) -> Surface:
+def read_surface(obj: bpy.types.Object, weights: VertexWeights | None = None) -> Surface:
     """Read a mesh object at rest, with its rig where a plain Armature modifier alone moves it.
+
+    Parameters
+    ----------
+    obj
+        The object.
+    weights
+        What `read_weights` gave for it, where the caller has that already: nothing takes longer to read.
 
     Raises
     ------
@@ -53,21 +61,21 @@ def read_surface(obj: bpy.types.Object) -> Surface:
         object_scale=scale,
         character_size=None if armature is None else _character_size(obj, armature, positions, scale),
     )
-    return surface if deformation.armature is None else with_skeleton(obj, surface)
+    return surface if deformation.armature is None else with_skeleton(obj, surface, weights)
 
 
-def with_skeleton(obj: bpy.types.Object, surface: Surface) -> Surface:
+def with_skeleton(obj: bpy.types.Object, surface: Surface, weights: VertexWeights | None = None) -> Surface:
     """The same surface with the rig of the first armature that moves it, if there is one."""
     armature = skeleton_of(obj)
     if armature is None or surface.rig is not None:
         return surface
     modifier = _armature_modifier(obj)
-    painted = read_weights(obj)
+    painted = weights or read_weights(obj)
     used = set(np.unique(painted.groups).tolist())
     group_of_bone = {group.name: group.index for group in obj.vertex_groups if group.index in used}
     bones = [bone.name for bone in armature.data.bones if bone.use_deform and bone.name in group_of_bone]
-    indices, weights = painted.table({group_of_bone[name]: index for index, name in enumerate(bones)})
-    if not weights.any():
+    bone_indices, bone_weights = painted.table({group_of_bone[name]: index for index, name in enumerate(bones)})
+    if not bone_weights.any():
         raise NotBakeableError(
             f"Object '{obj.name}' has no weights for the deforming bones of '{armature.name}': parent it with weights"
         )
@@ -75,8 +83,8 @@ def with_skeleton(obj: bpy.types.Object, surface: Surface) -> Surface:
     ends = np.array([[bone.head_local, bone.tail_local] for bone in (armature.data.bones[name] for name in bones)])
     joints = np.array(_joint_lines(armature, bones))
     rig = Rig(
-        bone_indices=indices,
-        bone_weights=weights,
+        bone_indices=bone_indices,
+        bone_weights=bone_weights,
         bone_segments=ends @ to_mesh[:3, :3].T + to_mesh[:3, 3],
         skinning="dual-quaternion" if modifier is not None and modifier.use_deform_preserve_volume else "linear",
         bone_rest_matrices=np.array([armature.data.bones[name].matrix_local for name in bones], dtype=np.float64),
@@ -133,10 +141,11 @@ class BoneReader:
         if len(armature.pose.bones) != self._count:
             raise NotBakeableError(f"Object '{self._armature}' has other bones than before: bake again")
         channels = _channels(armature)[self._bones]
-        world = probes.world_matrix(mesh)
-        to_mesh = np.linalg.inv(world) @ probes.world_matrix(armature)
+        world, armature_world = probes.world_matrix(mesh), probes.world_matrix(armature)
+        to_mesh = inverse_affine(world) @ armature_world
+        to_armature = inverse_affine(armature_world) @ world
         with np.errstate(invalid="ignore", over="ignore"):  # whoever asked for the pose checks it
-            matrices = to_mesh @ channels @ np.linalg.inv(to_mesh)
+            matrices = to_mesh @ channels @ to_armature
         return BonePose(bone_matrices=np.asarray(matrices, dtype=np.float64), world=world, armature=to_mesh)
 
 

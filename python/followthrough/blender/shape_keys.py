@@ -58,11 +58,12 @@ def write(
         key = obj.data.shape_keys
         basis = read_points(key.reference_key)
         names = []
+        points = np.empty_like(basis)
         for frame, offset in zip(frames, offsets, strict=True):
             block = obj.shape_key_add(name=f"Followthrough {frame:04d}", from_mix=False)
             block.relative_key = key.reference_key
             block.value = 0.0
-            block.points.foreach_set("co", (basis + offset).ravel())
+            block.points.foreach_set("co", np.add(basis, offset, out=points).ravel())
             names.append(block.name)
         record: _Record = {"start": int(frames[0]), "end": int(frames[-1]), "names": names, "basis": made_basis}
         key[RECORD] = json.dumps(record)

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
+from operator import attrgetter
 from typing import Any
 
 import bpy
@@ -47,13 +49,16 @@ class VertexWeights:
 
 def read_weights(obj: bpy.types.Object) -> VertexWeights:
     """Read all vertex groups of a mesh object that is not in Edit Mode."""
-    rows: list[Any] = [vertex.groups for vertex in obj.data.vertices]
+    # Blender hands out one object an element; all that can be saved is what Python would do with each.
+    rows: list[Any] = list(map(attrgetter("groups"), obj.data.vertices))
     counts = np.fromiter(map(len, rows), dtype=np.intp, count=len(rows))
-    elements = np.array([(element.group, element.weight) for row in rows for element in row]).reshape(-1, 2)
-    used = elements[:, 1] > 0.0
+    elements: list[Any] = list(chain.from_iterable(rows))
+    groups = np.fromiter(map(attrgetter("group"), elements), dtype=np.intp, count=len(elements))
+    weights = np.fromiter(map(attrgetter("weight"), elements), dtype=np.float64, count=len(elements))
+    used = weights > 0.0
     return VertexWeights(
         vertices=np.repeat(np.arange(len(rows)), counts)[used],
-        groups=elements[used, 0].astype(np.intp),
-        weights=np.ascontiguousarray(elements[used, 1]),
+        groups=groups[used],
+        weights=weights[used],
         vertex_count=len(rows),
     )

@@ -37,6 +37,7 @@ COMMANDS = {
     "evaluate": "measure a solver against a sequence's true motion",
     "benchmark": "time every solver beside its error",
     "dataset": "make training sequences",
+    "train": "train the emulator's network",
     "bake": "bake a character's secondary motion to shape keys",
 }
 

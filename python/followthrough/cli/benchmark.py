@@ -15,7 +15,7 @@ from followthrough import _core
 from followthrough.benchmarking import plot
 from followthrough.benchmarking.machine import this_machine
 from followthrough.benchmarking.measurement import Frames, SizeResult, measure
-from followthrough.benchmarking.methods import METHODS, select
+from followthrough.benchmarking.methods import METHODS, emulator, select
 from followthrough.benchmarking.report import Benchmark, as_markdown, as_values
 from followthrough.benchmarking.scene import LEAST_VERTICES, make_scene
 from followthrough.cli.progress import with_progress
@@ -61,6 +61,14 @@ def add_parser(subparsers: Any) -> None:
         help="methods below, or all of a solver, as implicit-euler (default: all)",
     )
     parser.add_argument(
+        "--weights",
+        metavar="WEIGHTS.npz",
+        type=Path,
+        nargs="+",
+        default=[],
+        help="also measure the emulator with these weights, as emulator/WEIGHTS",
+    )
+    parser.add_argument(
         "--threads",
         metavar="N",
         type=int,
@@ -80,7 +88,10 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Do it."""
-    methods = select(args.solvers)
+    for path in args.weights:
+        if sum(other.stem == path.stem for other in args.weights) > 1:
+            raise ValueError(f"--weights: found two files {path.name}, expected another name for each")
+    methods = select(args.solvers, [*METHODS, *(emulator(path) for path in args.weights)])
     threads = list(dict.fromkeys(args.threads or [_core.threads()]))
     _check(args, threads)
     pictures = args.output is not None

@@ -11,7 +11,6 @@ from typing import Any
 
 from followthrough.cli import solver_options
 from followthrough.cli.progress import with_progress
-from followthrough.elastic import ImplicitEuler
 from followthrough.npz_files import require_output_folder
 from followthrough.sequences import Sequence
 from followthrough.simulation import simulate
@@ -23,7 +22,8 @@ def add_parser(subparsers: Any) -> None:
         "simulate",
         help="fill in a sequence's secondary motion with a solver",
         description="Run a solver over a sequence file and write the sequence with its array `dynamic` filled in. "
-        "The first frame is the reference's; constrained vertices follow the reference exactly.",
+        "The first frame is the reference's, or its equilibrium where that is asked for; constrained vertices follow the "
+        "reference exactly.",
     )
     parser.add_argument("sequence", metavar="SEQ.npz", type=Path, help="sequence file")
     parser.add_argument("-o", "--output", metavar="OUT.npz", type=Path, required=True, help="where to write the result")
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     def progress(frames: range) -> Iterator[int]:
         for frame in with_progress(frames, "simulate", quiet=args.quiet):
             yield frame
-            if isinstance(solver, ImplicitEuler) and not solver.last_step.converged:
+            if not solver.converged:
                 unconverged.append(frame)
 
     result = simulate(sequence, solver, progress)

@@ -18,10 +18,10 @@ from followthrough.elastic import (
     ElasticBody,
     ImplicitEuler,
     MaterialName,
-    Quality,
 )
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights
+from followthrough.quasistatic import OverQuasistatic, Quasistatic
 from followthrough.simulation import DEFAULT_DAMPING_RATIO, DEFAULT_STIFFNESS, load_constants, uniform_constants
 from followthrough.springs import Springs
 
@@ -31,10 +31,11 @@ if TYPE_CHECKING:
 
 #: Solver -> the options that it has.
 OPTIONS = {
-    "springs": ("springs", "stiffness", "damping"),
+    "springs": ("springs", "stiffness", "damping", "over"),
     "emulator": ("weights", "edge_length"),
-    "implicit-euler": ("quality", "tolerance", "material"),
-    "central-differences": ("substeps", "material"),
+    "implicit-euler": ("quality", "tolerance", "material", "gravity"),
+    "central-differences": ("substeps", "material", "gravity"),
+    "quasistatic": ("quality", "tolerance", "material", "gravity"),
 }
 
 
@@ -44,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--solver",
         metavar="NAME",
         help="springs (default), emulator (where --weights is given), or finite elements of the sequence's own material: "
-        "implicit-euler, central-differences",
+        "implicit-euler, central-differences, or quasistatic (no motion of its own: every frame rests in its pose)",
     )
     springs = parser.add_argument_group("springs")
     springs.add_argument(
@@ -62,18 +63,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         help=f"kd of every vertex, 1/s (default {DEFAULT_DAMPING_RATIO:g} of critical damping, 2 sqrt(ks))",
     )
+    springs.add_argument(
+        "--over",
+        choices=("quasistatic",),
+        help="what the springs hang on: the static equilibrium of each pose, with the options of that solver "
+        "(default: the skinned positions)",
+    )
     add_emulator_arguments(parser)
     elastic = parser.add_argument_group("finite elements")
     elastic.add_argument(
         "--quality",
         choices=QUALITIES,
-        help=f"of implicit-euler: {', '.join(QUALITIES[:-1])} or {QUALITIES[-1]} (default)",
+        help=f"of implicit-euler and quasistatic: {', '.join(QUALITIES[:-1])} or {QUALITIES[-1]} (default)",
     )
     elastic.add_argument(
         "--tolerance",
         metavar="T",
         type=float,
-        help="of implicit-euler: relative residual at which a frame has converged (default: the quality's)",
+        help="of implicit-euler and quasistatic: relative residual at which a frame has converged (default: the quality's)",
     )
     elastic.add_argument(
         "--substeps",
@@ -86,6 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=MATERIALS,
         help=f"{MATERIALS[0]} (default) or {MATERIALS[1]}, linear and without resistance",
     )
+    elastic.add_argument("--gravity", metavar=("X", "Y", "Z"), type=float, nargs=3, help="m/s² (default: none)")
 
 
 def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
@@ -110,7 +118,8 @@ def check(args: argparse.Namespace) -> None:
     """
     if args.solver is None:
         args.solver = "springs" if args.weights is None else "emulator"
-    check_owners(args, OPTIONS)
+    over = OPTIONS[args.over] if args.solver == "springs" and args.over is not None else ()
+    check_owners(args, OPTIONS | {"springs": OPTIONS["springs"] + over})
     if args.springs is not None and (args.stiffness is not None or args.damping is not None):
         raise ValueError(
             "--springs: found together with --stiffness or --damping, expected either the file or the numbers"
@@ -139,19 +148,48 @@ def make_solver(sequence: Sequence, args: argparse.Namespace) -> Solver:
     if args.solver == "emulator":
         return make_emulator(sequence, args)
     if args.solver == "springs":
-        _require_free_vertex(sequence, args.sequence)
-        if len(sequence.tets):  # springs can do without; but not with some that no other solver takes
-            sound_body(sequence, args.sequence)
-        if args.springs is not None:
-            stiffness, damping = load_constants(args.springs, sequence.vertex_count)
-        else:
-            stiffness, damping = uniform_constants(sequence.vertex_count, args.stiffness, args.damping)
-        return Springs(stiffness, damping, sequence.dt, sequence.constrained)
-    body = sound_body(sequence, args.sequence, args.material or MATERIALS[0])
+        return _make_springs(sequence, args)
+    if args.solver == "quasistatic":
+        return OverQuasistatic(_make_layer(sequence, args))
+    body, gravity = _make_body(sequence, args), args.gravity or (0.0, 0.0, 0.0)
     if args.solver == "central-differences":
-        return CentralDifferences(body, sequence.constrained, sequence.dt, substeps=args.substeps)
-    quality: Quality = args.quality or "converged"
-    return ImplicitEuler(body, sequence.constrained, sequence.dt, quality=quality, tolerance=args.tolerance)
+        return CentralDifferences(body, sequence.constrained, sequence.dt, substeps=args.substeps, gravity=gravity)
+    return ImplicitEuler(
+        body,
+        sequence.constrained,
+        sequence.dt,
+        quality=args.quality or "converged",
+        tolerance=args.tolerance,
+        gravity=gravity,
+    )
+
+
+def _make_springs(sequence: Sequence, args: argparse.Namespace) -> Solver:
+    _require_free_vertex(sequence, args.sequence)
+    if args.springs is not None:
+        stiffness, damping = load_constants(args.springs, sequence.vertex_count)
+    else:
+        stiffness, damping = uniform_constants(sequence.vertex_count, args.stiffness, args.damping)
+    springs = Springs(stiffness, damping, sequence.dt, sequence.constrained)
+    if args.over is not None:
+        return OverQuasistatic(_make_layer(sequence, args), springs)
+    if len(sequence.tets):  # springs can do without; but not with some that no other solver takes
+        sound_body(sequence, args.sequence)
+    return springs
+
+
+def _make_layer(sequence: Sequence, args: argparse.Namespace) -> Quasistatic:
+    return Quasistatic(
+        _make_body(sequence, args),
+        sequence.constrained,
+        quality=args.quality or "converged",
+        tolerance=args.tolerance,
+        gravity=args.gravity or (0.0, 0.0, 0.0),
+    )
+
+
+def _make_body(sequence: Sequence, args: argparse.Namespace) -> ElasticBody:
+    return sound_body(sequence, args.sequence, args.material or MATERIALS[0])
 
 
 def sound_body(sequence: Sequence, path: Path, material: MaterialName = MATERIALS[0]) -> ElasticBody:
@@ -179,8 +217,8 @@ def make_emulator(sequence: Sequence, args: argparse.Namespace) -> Emulator:
     """The emulator, with the weights that the arguments name."""
     if args.weights is None:
         raise ValueError(
-            "--weights: found none, expected a weights file of the emulator; this version brings none of its own: export one from "
-            "PyTorch with followthrough.training.network.save_weights, or use simulate --solver implicit-euler instead"
+            "--weights: found none, expected a weights file of the emulator; this version brings none of its own: make one with "
+            "followthrough dataset and followthrough train, or use simulate --solver implicit-euler instead"
         )
     weights = EmulatorWeights.load(args.weights)
     sound_body(sequence, args.sequence)

@@ -36,12 +36,19 @@ class ElasticBody {
   ElasticBody& operator=(const ElasticBody&);
   ElasticBody& operator=(ElasticBody&&) noexcept;
 
+  /// @param vertices (n,)
+  /// @return the same body with only those tets that have a corner among these vertices; its masses are the whole body's
+  /// @throws InvalidInput on a wrong shape
+  ElasticBody around(ConstMask vertices) const;
+
   Eigen::Index vertex_count() const { return vertex_count_; }
   Eigen::Index tet_count() const { return static_cast<Eigen::Index>(elements_.size()); }
   /// Number of tets whose rest volume is negative: usual in volumes that a pose has squashed, worth a warning.
   Eigen::Index inverted_rest_tets() const { return inverted_rest_tets_; }
   /// (n,) kg: a quarter of every adjacent tet's mass.
   const Vector& lumped_mass() const { return lumped_mass_; }
+  /// @return (n,) N/m: how each vertex alone resists being moved from rest, the mean over all directions
+  Vector rest_stiffness() const;
   /// Mean length of the tets' edges at rest, m.
   double edge_length() const { return edge_length_; }
 
@@ -76,6 +83,7 @@ class ElasticBody {
     double volume, mass;  // mass: rho V / 20
   };
 
+  void arrange();
   Eigen::Matrix3d deformation_gradient(std::size_t tet, ConstPositions positions) const;
   void add_force(std::size_t tet, ConstPositions positions, const Material& material, Positions& forces, double* energy) const;
   void add_stiffness(std::size_t tet, ConstPositions positions, const Material& material, Definiteness definiteness, double scale,

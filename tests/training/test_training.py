@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Training runs on a small bar: what they learn, and that a killed one continues to the same end."""
+
+import itertools
+import math
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from followthrough import cli
+from followthrough.elastic import ElasticBody, ImplicitEuler
+from followthrough.emulator import Emulator
+from followthrough.emulator_weights import EmulatorWeights, TrainedOn
+from followthrough.evaluation import evaluate
+from followthrough.sequences import Sequence
+from followthrough.simulation import simulate
+from followthrough.training.examples import DataSet
+from followthrough.training.settings import TrainingSettings
+from followthrough.training.trainer import Trainer
+
+CUBE = ((0, 4, 2, 1), (4, 2, 1, 5), (2, 1, 5, 3), (4, 6, 2, 5), (6, 5, 7, 3), (6, 2, 5, 3))  # bits of a corner: x y z
+SMALL = {
+    "inertia": (16, 16, 16),
+    "force": (24, 24, 24),
+    "displacement": (32, 32),
+    "frames_a_step": 8,
+    "vertices_a_frame": 12,
+}
+
+torch.set_num_threads(1)
+
+
+def bar(modulus: float, phase: float, frames: int = 60) -> Sequence:
+    rest = np.array(list(itertools.product(range(4), range(2), range(2))), dtype=float) * 0.2
+    tets = [[4 * x + corner for corner in tet] for x in range(3) for tet in CUBE]
+    t = np.arange(frames)
+    swing = np.stack([0 * t, 0.1 * np.sin(0.5 * t + phase), 0.05 * np.sin(0.3 * t)], axis=1)
+    sequence = Sequence(
+        rest_positions=rest,
+        tets=np.array(tets, dtype=np.int32),
+        constrained=rest[:, 0] < 0.1,
+        youngs_modulus=np.full(len(rest), modulus),
+        dt=math.sqrt(0.001),
+        reference=rest + swing[:, None],
+    )
+    return simulate(sequence, ImplicitEuler(ElasticBody.of_sequence(sequence), sequence.constrained, sequence.dt))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    for k, modulus in enumerate((2e5, 1e6)):
+        bar(modulus, 0.7 * k).save(folder / f"bar-{k}.npz")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def data(folder: Path) -> DataSet:
+    return DataSet.load(folder, TrainedOn(), rings=1)
+
+
+def test_a_network_learns_and_its_weights_run(data: DataSet) -> None:
+    settings = TrainingSettings(**SMALL, steps=600, learning_rate=3e-3, warmup_steps=20, average=0.98, noise=0.001)
+    held_out = bar(5e5, 2.0)
+    trainer = Trainer(data, settings, TrainedOn(), [held_out])
+    before = trainer.measure()
+    while trainer.step < settings.steps:
+        trainer.take_step()
+    after = trainer.measure()
+    assert before is not None and after is not None
+    assert np.mean(trainer.losses[-50:]) < 0.05 * np.mean(trainer.losses[:10])
+    weights = trainer.weights()
+    assert weights.trained_on.stiffness_range == pytest.approx((5, 25))
+    assert weights.manifest["steps"] == 600
+    scores = evaluate(held_out, Emulator.of_sequence(held_out, weights))
+    assert scores.single_frame == pytest.approx(after.single_frame)
+    assert held_out.dynamic is not None
+    still = np.sqrt(np.mean((held_out.dynamic[1:] - held_out.dynamic[:-1]) ** 2))
+    assert scores.single_frame < 0.35 * still
+    assert math.isfinite(scores.rollout_all)
+
+
+def test_batches_have_their_true_changes(data: DataSet) -> None:
+    settings = TrainingSettings(**SMALL, noise=0.0)
+    batch, changes = data.batch(settings, 5)
+    again, same = data.batch(settings, 5)
+    assert torch.equal(batch.dynamic, again.dynamic) and torch.equal(changes, same)
+    assert not torch.equal(data.batch(settings, 6)[1][:10], changes[:10])
+    assert len(changes) == 8 * 12
+    noisy, noisy_changes = data.batch(replace(settings, noise=0.01), 5)
+    free = ~batch.constrained
+    shift = noisy.dynamic - batch.dynamic
+    assert torch.equal(shift[:, ~free], torch.zeros_like(shift[:, ~free]))
+    assert shift[:, free].std() == pytest.approx(0.01, rel=0.1)
+    torch.testing.assert_close(
+        noisy_changes + noisy.dynamic[0, noisy.centres], changes + batch.dynamic[0, batch.centres]
+    )
+
+
+def test_a_run_that_was_stopped_ends_as_one_that_was_not(data: DataSet, tmp_path: Path) -> None:
+    settings = TrainingSettings(**SMALL, steps=30, warmup_steps=5)
+    whole = Trainer(data, settings, TrainedOn())
+    whole.run(tmp_path / "whole.pt")
+    stopped = Trainer(data, settings, TrainedOn())
+    for _ in range(11):
+        stopped.take_step()
+    stopped.save_checkpoint(tmp_path / "stopped.pt")
+    resumed = Trainer(data, settings, TrainedOn())
+    resumed.run(tmp_path / "stopped.pt")
+    assert resumed.losses == whole.losses
+    for name, tensor in whole.average.state_dict().items():
+        assert torch.equal(resumed.average.state_dict()[name], tensor)
+    other = Trainer(data, replace(settings, noise=0.5), TrainedOn())
+    with pytest.raises(ValueError, match=r"found a run with noise 0\.002, expected 0\.5"):
+        other.resume(tmp_path / "whole.pt")
+    (tmp_path / "whole.pt").write_bytes((tmp_path / "whole.pt").read_bytes()[:1000])
+    with pytest.raises(ValueError, match="no readable checkpoint"):
+        whole.resume(tmp_path / "whole.pt")
+
+
+def config(path: Path, **changes: object) -> Path:
+    values = {**SMALL, "warmup_steps": 5, **changes}
+    path.write_text("\n".join(f"{key} = {list(v) if isinstance(v, tuple) else v}" for key, v in values.items()))
+    return path
+
+
+def test_the_command_trains_and_continues_after_a_kill(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings, output = config(tmp_path / "small.toml"), tmp_path / "weights.npz"
+    command = ["train", str(folder), "--config", str(settings), "-o", str(output), "--steps", "40", "--device", "cpu"]
+    code = (
+        "import sys, torch; torch.set_num_threads(1); from followthrough.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    slow = [*command, "--checkpoint-minutes", "0", "--quiet"]
+    slow[slow.index("40")] = "100000"
+    process = subprocess.Popen([sys.executable, "-c", code, *slow])
+    checkpoint = tmp_path / "weights.checkpoint.pt"
+    deadline = time.monotonic() + 300
+    while not checkpoint.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not output.exists()
+    steps = torch.load(checkpoint, weights_only=True)["step"]
+    assert steps > 0
+    slow[slow.index("100000")] = str(steps + 3)
+    assert cli.main(slow) == 2  # the schedule depends on the number of steps
+    assert "found a run with steps 100000" in capsys.readouterr().err
+    checkpoint.unlink()
+    assert cli.main([*command, "--quiet", "--validation", str(folder)]) == 0
+    said = capsys.readouterr().out
+    assert "after 40 steps" in said and "validation: single frame" in said
+    assert output.with_suffix(".png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    weights = EmulatorWeights.load(output)
+    assert weights.manifest["settings"]["force"] == [24, 24, 24]
+    assert cli.main([*command, "--quiet"]) == 0  # nothing is left to do
+    assert "continuing after step 40" in capsys.readouterr().err
+
+
+def test_settings_that_do_not_fit_are_refused(tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for changes, message in (
+        ({"colour": 3}, "found unknown colour"),
+        ({"steps": 1.5}, "steps: found 1.5"),
+        ({"rings": 4}, "rings: found 4, expected 1 to 3"),
+        ({"force": (128,)}, "fewer than two layers"),
+        ({"average": 2.0}, "average: found 2.0"),
+        ({"inertia": (0, 3)}, "inertia: found [0, 3]"),
+    ):
+        path = config(tmp_path / "changed.toml", **changes)
+        assert cli.main(["train", str(folder), "--config", str(path), "-o", str(tmp_path / "w.npz")]) == 2
+        assert message in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert cli.main(["train", str(tmp_path / "empty"), "-o", str(tmp_path / "w.npz")]) == 2
+    assert "found no sequences" in capsys.readouterr().err
