@@ -46,7 +46,7 @@ int padded(int rows) { return (rows + front_lanes - 1) / front_lanes * front_lan
 template <typename Number>
 Number* aligned(Number* from) {
   const auto address = reinterpret_cast<std::uintptr_t>(from);
-  return from + (64 - address % 64) % 64 / sizeof(Number);
+  return reinterpret_cast<Number*>((address + 63) / 64 * 64);
 }
 
 std::vector<Index> least_fill_order(const BlockMatrix& pattern) {
