@@ -45,8 +45,9 @@ int padded(int rows) { return (rows + front_lanes - 1) / front_lanes * front_lan
 
 template <typename Number>
 Number* aligned(Number* from) {
-  const auto address = reinterpret_cast<std::uintptr_t>(from);
-  return reinterpret_cast<Number*>((address + 63) / 64 * 64);
+  constexpr std::size_t line = 64 / sizeof(Number);
+  const std::size_t place = reinterpret_cast<std::uintptr_t>(from) / sizeof(Number) % line;
+  return from + (line - place) % line;
 }
 
 std::vector<Index> least_fill_order(const BlockMatrix& pattern) {
