@@ -324,18 +324,20 @@ void ElasticBody::add_stiffness(std::size_t tet, ConstPositions positions, const
 void ElasticBody::add_stiffness(ConstPositions positions, const Material& material, Definiteness definiteness, double scale,
                                 BlockMatrix& matrix) const {
   const auto batch_stiffness = kernels().stiffness;
+  const bool convex = definiteness == Definiteness::kConvex;
   const bool closed_form = has_closed_form(material) && definiteness != Definiteness::kSemidefinite;
+  const Definiteness other = convex ? Definiteness::kSemidefinite : definiteness;
   for_batches(closed_form ? stiffness_nanoseconds : decomposed_nanoseconds,
               [&](std::size_t index, std::size_t first, std::size_t last) {
                 ElementBatch batch;
                 if (closed_form) {
                   load_edges(index, positions, batch);
-                  batch_stiffness(batches_[index], batch, InvertibleStVK::smallest_stretch);
+                  batch_stiffness(batches_[index], batch, InvertibleStVK::smallest_stretch, convex);
                 }
                 for (std::size_t tet = first; tet < last; ++tet) {
                   const std::size_t lane = tet - first;
                   if (!closed_form || batch.inside[lane] == 0) {
-                    add_stiffness(tet, positions, material, definiteness, scale, matrix);
+                    add_stiffness(tet, positions, material, other, scale, matrix);
                     continue;
                   }
                   // Corner 0 has minus the sum of the others, as row and as column.

@@ -24,10 +24,10 @@ struct alignas(64) ElementBatch {
   double inside[batch_lanes];        ///< out: 1 where all stretches are above the clamp; the rest is only true there
 };
 
-#define FOLLOWTHROUGH_DECLARE_ELEMENT_KERNELS(isa)                                                              \
-  namespace isa {                                                                                               \
-  void batch_forces(const BatchConstants& constants, ElementBatch& batch, double smallest_stretch) noexcept;    \
-  void batch_stiffness(const BatchConstants& constants, ElementBatch& batch, double smallest_stretch) noexcept; \
+#define FOLLOWTHROUGH_DECLARE_ELEMENT_KERNELS(isa)                                                                           \
+  namespace isa {                                                                                                            \
+  void batch_forces(const BatchConstants& constants, ElementBatch& batch, double smallest_stretch) noexcept;                 \
+  void batch_stiffness(const BatchConstants& constants, ElementBatch& batch, double smallest_stretch, bool convex) noexcept; \
   }
 FOLLOWTHROUGH_DECLARE_ELEMENT_KERNELS(baseline)
 FOLLOWTHROUGH_DECLARE_ELEMENT_KERNELS(avx2)

@@ -2,7 +2,8 @@
 // Every lane goes through the same operations in the same order, so all instruction sets give the same bits. F is the deformation
 // gradient, E = (F^T F - 1) / 2, S = 2 mu E + lambda tr(E) 1, A the cofactors of F, J its determinant, g a corner's gradient:
 // P = F S + pressure A, and the stiffness between corners a and b is (g_a . S g_b) 1 + mu ((g_a . g_b) F F^T + F g_b (F g_a)^T) +
-// lambda F g_a (F g_b)^T + bulk A g_a (A g_b)^T + pressure [y -> y x F (g_a x g_b)], all times the volume.
+// lambda F g_a (F g_b)^T + bulk A g_a (A g_b)^T + pressure [y -> y x F (g_a x g_b)], all times the volume. The first and the last
+// term can be negative: where a convex stiffness is asked for the last one is left out, and the first where S is not positive.
 #include "elastic/element_batch.hpp"
 
 #if defined(__GNUC__) && !defined(__clang__)
@@ -99,6 +100,13 @@ inline Strain strain(const BatchConstants& k, ElementBatch& b, int lane, double 
   return r;
 }
 
+// 1 where a symmetric matrix is positive definite, 0 elsewhere.
+inline Number share_of_stress(const Matrix& s) noexcept {
+  const Number minor = s.x.x * s.y.y - s.x.y * s.x.y;
+  const Number none = minor - minor;
+  return (s.x.x > 0.0) & (minor > 0.0) & (dot(s.x, cross(s.y, s.z)) > 0.0) ? none + 1.0 : none;
+}
+
 // A row of a stiffness block: rows of the terms named at the top.
 inline Vector block_row(const Number& near, const Vector& left, const Number& by_a, const Vector& moved_a, const Number& by_c,
                         const Vector& moved_c, const Number& by_normal, const Vector& normal_c) noexcept {
@@ -121,11 +129,12 @@ void batch_forces(const BatchConstants& k, ElementBatch& b, double smallest_stre
   }
 }
 
-void batch_stiffness(const BatchConstants& k, ElementBatch& b, double smallest_stretch) noexcept {
+void batch_stiffness(const BatchConstants& k, ElementBatch& b, double smallest_stretch, bool convex) noexcept {
   for (int lane = 0; lane < batch_lanes; lane += lanes_at_once) {
     const Strain r = strain(k, b, lane, smallest_stretch);
     const Number v = load(k.volume + lane), mu = v * load(k.mu + lane), lambda = v * load(k.lambda + lane);
-    const Number bulk = v * r.bulk, pressure = v * r.pressure;
+    const Number bulk = v * r.bulk, pressure = convex ? v - v : v * r.pressure;
+    const Number keep = convex ? share_of_stress(r.s) : v - v + 1.0;
     const Matrix left = {product(r.f, r.f.x), product(r.f, r.f.y), product(r.f, r.f.z)};  // F F^T
     Vector g[3], moved[3], normal[3], pulled[3];                                          // a corner each: g, F g, A g, S g
     for (int a = 0; a < 3; ++a) {
@@ -137,7 +146,7 @@ void batch_stiffness(const BatchConstants& k, ElementBatch& b, double smallest_s
     int pair = 0;
     for (int a = 0; a < 3; ++a) {
       for (int c = a; c < 3; ++c) {
-        const Number pull = v * dot(g[a], pulled[c]), near = mu * dot(g[a], g[c]);
+        const Number pull = v * keep * dot(g[a], pulled[c]), near = mu * dot(g[a], g[c]);
         const Vector axis = times(product(r.f, cross(g[a], g[c])), pressure);
         const Vector by_a = times(moved[a], lambda), by_c = times(moved[c], mu), by_normal = times(normal[a], bulk);
         Vector x = block_row(near, left.x, by_a.x, moved[a], by_c.x, moved[c], by_normal.x, normal[c]);

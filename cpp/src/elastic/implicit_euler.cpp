@@ -20,6 +20,8 @@ constexpr double smallest_move = 1e-11;
 // Armijo's constant: share of the predicted decrease that a step must bring.
 constexpr double sufficient_decrease = 1e-4;
 constexpr int most_halvings = 12;
+// An iteration that leaves less than this share of the residual is near the end.
+constexpr double near_gain = 0.2;
 // What a multiplication of a factorization and a number of the factor in a solve take.
 constexpr double factor_nanoseconds = 0.04, solve_nanoseconds = 0.6;
 
@@ -177,7 +179,7 @@ std::optional<Vector> ImplicitEuler::Step::direction(const Trial& from, double l
   }
   factored_ = p_.factor.compute(p_.matrix);
   if (!factored_) {
-    if (definiteness != Definiteness::kSemidefinite) return std::nullopt;
+    if (definiteness == Definiteness::kSymmetric) return std::nullopt;
     p_.fallback.compute(p_.matrix);  // definite, but not in single precision
   }
   const LinearReport linear =
@@ -215,21 +217,23 @@ bool ImplicitEuler::Step::advance(Trial& trial, const Vector& direction) const {
 Positions ImplicitEuler::Step::solve() {
   Trial trial = start();
   double linear_tolerance = 0.1;
+  // The exact tangent leads home fastest from nearby. Far away it is mostly indefinite, and the convex one points downhill.
+  bool near = false;
   StepReport& report = p_.report;
   report = {};
   while (!within_tolerance(trial) && report.iterations < p_.newton.most_iterations) {
     const double before = trial.size;
     ++report.iterations;
     bool advanced = false;
-    // The exact tangent leads home fastest. Where it is indefinite or leads nowhere, the projected one points downhill.
-    for (const Definiteness definiteness : {Definiteness::kSymmetric, Definiteness::kSemidefinite}) {
-      const std::optional<Vector> newton = direction(trial, linear_tolerance, definiteness);
+    for (const bool exact : {near, !near}) {
+      const auto newton = direction(trial, linear_tolerance, exact ? Definiteness::kSymmetric : Definiteness::kConvex);
       advanced = newton && advance(trial, *newton);
       if (advanced) break;
     }
     if (!advanced) break;
-    // As exact as Newton's method will converge, but no better than the step needs.
     const double gain = trial.size / before;
+    near = gain < near_gain;
+    // As exact as Newton's method will converge, but no better than the step needs.
     linear_tolerance = std::clamp(0.5 * gain * gain, 1e-6, 0.1);
     linear_tolerance = std::max(linear_tolerance, std::min(0.3 * p_.newton.tolerance / trial.relative, 0.1));
   }

@@ -63,7 +63,7 @@ StressDerivative Material::stress_derivative(const Matrix3d& deformation_gradien
   if (definiteness != Definiteness::kExact) {
     response.stretch_stiffness = (0.5 * (response.stretch_stiffness + response.stretch_stiffness.transpose())).eval();
   }
-  if (definiteness == Definiteness::kSemidefinite) {
+  if (definiteness == Definiteness::kSemidefinite || definiteness == Definiteness::kConvex) {
     response.stretch_stiffness = semidefinite(response.stretch_stiffness);
     response.flip = response.flip.cwiseMax(0.0);
     response.twist = response.twist.cwiseMax(0.0);

@@ -4,6 +4,7 @@
 #include <doctest/doctest.h>
 #include <omp.h>
 
+#include <Eigen/Dense>
 #include <cmath>
 #include <cstring>
 #include <limits>
@@ -150,6 +151,33 @@ TEST_CASE("the closed form gives the forces and the stiffness of the decompositi
     }
     CHECK((products[0] - products[1]).norm() < 1e-12 * products[0].norm());
   }
+}
+
+TEST_CASE("the convex stiffness has no negative eigenvalue and is the exact one under tension") {
+  const Scene s = scene(3, 2, 2);
+  const Eigen::Index count = s.body.vertex_count();
+  std::vector<Index> rows(static_cast<std::size_t>(count));
+  for (Eigen::Index v = 0; v < count; ++v) rows[v] = static_cast<Index>(v);
+  const auto dense = [&](const Positions& positions, Definiteness definiteness) {
+    BlockMatrix matrix(s.body.corners(), rows);
+    s.body.add_stiffness(positions, InvertibleStVK(), definiteness, 1.0, matrix);
+    Eigen::MatrixXd all(3 * count, 3 * count);
+    for (Eigen::Index k = 0; k < 3 * count; ++k) {
+      const Vector unit = Vector::Unit(3 * count, k);
+      matrix.multiply(unit.data(), all.col(k).data());
+    }
+    return all;
+  };
+  for (const double size : {0.01, 0.05, 0.2}) {
+    const Positions bent = s.block.vertices + size * Positions::Random(count, 3);
+    const Eigen::VectorXd values = Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(dense(bent, Definiteness::kConvex)).eigenvalues();
+    CHECK(values.minCoeff() > -1e-12 * values.maxCoeff());
+    CHECK(Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(dense(bent, Definiteness::kSymmetric)).eigenvalues().minCoeff() <
+          -1e-6 * values.maxCoeff());
+  }
+  const Positions stretched = 1.1 * s.block.vertices;
+  const Eigen::MatrixXd exact = dense(stretched, Definiteness::kSymmetric);
+  CHECK((dense(stretched, Definiteness::kConvex) - exact).norm() < 1e-12 * exact.norm());
 }
 
 TEST_CASE("bad input is refused and changes nothing") {

@@ -43,9 +43,10 @@ struct StressDerivative {
 
 /// What may be done to a stress derivative so that linear solvers like it.
 enum class Definiteness {
-  kExact,        ///< nothing. Beyond a material's clamp it is not symmetric
-  kSymmetric,    ///< its symmetric part; the exact one wherever an energy exists
-  kSemidefinite  ///< its symmetric part with negative eigenvalues raised to zero
+  kExact,         ///< nothing. Beyond a material's clamp it is not symmetric
+  kSymmetric,     ///< its symmetric part; the exact one wherever an energy exists
+  kSemidefinite,  ///< its symmetric part with negative eigenvalues raised to zero
+  kConvex         ///< semidefinite too, and cheaper where the material has a closed form: without the terms that can be negative
 };
 
 class Material {
