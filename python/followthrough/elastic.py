@@ -281,7 +281,7 @@ class CentralDifferences(_ElasticSolver):
     dt
         Seconds a frame.
     substeps
-        Steps a frame; None: as many as are stable where each frame starts. Too few, and the body explodes.
+        Steps a frame; None: as many as are stable where each frame starts and where it leads. Too few, and the body explodes.
     gravity
         m/s².
     mass_damping

@@ -11,7 +11,7 @@ import pytest
 
 from followthrough import cli
 
-SOLVERS = ("springs", "implicit-euler", "central-differences")
+SOLVERS = ("springs", "implicit-euler", "central-differences", "quasistatic")
 COUNT = 8
 
 

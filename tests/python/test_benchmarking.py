@@ -4,6 +4,7 @@
 import json
 import math
 import sys
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,7 @@ def test_errors_are_those_of_evaluate(scene: Scene) -> None:
         assert result.largest >= result.rollout_all
     assert results[TRUTH].largest == 0 < results["implicit-euler/fine"].largest
     assert results["implicit-euler/fine"].rollout_all < results["skinning"].rollout_all
-    assert results["central-differences"].work["substeps"] > 1
+    assert results["central-differences/stable"].work["substeps"] > 1
 
 
 @dataclass
@@ -136,6 +137,20 @@ def test_what_cannot_run_or_takes_too_long_is_skipped_with_a_reason(scene: Scene
     assert results["springs"].skipped is None
     within = by_name(measure(scene, [replace(slow, forecast=lambda solver, scene: 59.0)], [1]).results)
     assert within["slow"].skipped is None
+
+
+def test_a_method_that_takes_more_than_its_share_is_stopped(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measurement, "LARGEST_SHARE", 0.01)
+
+    def wait(steps: int, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        time.sleep(0.1)
+        return positions
+
+    log = Log([])
+    results = by_name(measure(scene, [logged("slow", log, wait), logged("quick", log)], [1], seconds=30.0).results)
+    assert results["slow"].frames == 2  # two steps a frame, and 0.3 s of 30
+    assert results["slow"].notes[0].startswith("stopped after 2 of 5 frames")
+    assert results["quick"].frames == FRAMES and not results["quick"].notes
 
 
 def test_results_that_depend_on_threads_are_an_error(scene: Scene) -> None:

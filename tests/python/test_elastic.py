@@ -321,6 +321,31 @@ def test_central_differences_explode_at_one_step_a_frame_and_are_stable_at_a_hun
     assert largest[100] < 2 and largest[None] < 2
 
 
+def test_central_differences_take_a_frame_in_more_substeps_than_its_start_asks_for() -> None:
+    rest, tets = bar(5, 2, 2)
+    body = ElasticBody(rest, tets, 5e4)
+    references = [rest, rest + 1.5 * (np.arange(3) == 0), rest]  # jerked by several edges, and back
+    paths = []
+    for restoring in (False, True):
+        solver = CentralDifferences(body, rest[:, 0] < 0.1, DT)
+        solver.reset(rest)
+        paths.append([])
+        for reference in references:
+            paths[-1].append(solver.step(reference))
+            assert solver.last_substeps >= DT / solver.stable_step(paths[-1][-1])
+            if restoring:  # what is remembered of the frame's end changes nothing
+                solver.restore(solver.state())
+    np.testing.assert_array_equal(*paths)
+    assert np.abs(paths[0]).max() < 5
+    # As many as the rest asks for, the same share below the limit, explode.
+    enough = int(np.ceil(DT / (0.4 * solver.stable_step(rest))))
+    exploding = CentralDifferences(body, rest[:, 0] < 0.1, DT, substeps=enough)
+    exploding.reset(rest)
+    for reference in references:
+        last = exploding.step(reference)
+    assert not np.abs(last).max() < 100
+
+
 def test_central_differences_are_of_second_order_and_keep_the_energy() -> None:
     rest, tets = bar(3, 1, 1)
     body = ElasticBody(rest, tets, 1e5, compression_resistance=0.0)

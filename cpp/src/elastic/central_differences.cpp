@@ -12,8 +12,8 @@ namespace followthrough {
 namespace {
 
 constexpr int power_iterations = 20;
-// Share of the stable step that is taken: compression makes the material stiffer within a frame, and the power iteration comes from
-// below.
+// Share of the stable step that is taken, and less than which a frame may not end with: compression makes the material stiffer
+// within a frame, and the power iteration comes from below.
 constexpr double safety = 0.4;
 
 void require_number(const char* name, double value, bool zero_allowed) {
@@ -78,6 +78,7 @@ void CentralDifferences::reset(ConstPositions reference) {
   velocities_.setZero(vertex_count(), 3);
   reference_ = positions_;
   frames_ = 0;
+  enough_ = 0;
 }
 
 const Positions& CentralDifferences::step(ConstPositions reference, const Positions*) {
@@ -90,31 +91,50 @@ const Positions& CentralDifferences::step(ConstPositions reference, const Positi
   const Positions start = reference_;
   reference_ = reference;
   if (!positions_.allFinite()) return positions_;
-  last_substeps_ = substeps_;
-  if (substeps_ == 0) {
-    const double wanted = std::ceil(dt_ / (safety * stable_step(positions_)));
-    last_substeps_ = static_cast<int>(std::clamp(wanted, 1.0, static_cast<double>(most_substeps)));
+  if (substeps_ > 0) {
+    advance(start, substeps_);
+    return positions_;
   }
-  const double h = dt_ / last_substeps_, kept = std::exp(-mass_damping_ * h);
+  // What is stable where the frame starts need not be where it leads: then it is taken again, in more substeps.
+  const Positions first_positions = positions_, first_velocities = velocities_;
+  int substeps = enough_ > 0 ? enough_ : enough_substeps();
+  for (;;) {
+    advance(start, substeps);
+    enough_ = positions_.allFinite() ? enough_substeps() : most_substeps;
+    if (safety * enough_ <= substeps || substeps == most_substeps) return positions_;
+    // An exploded body asks for any number: nearer to the right one step by step.
+    substeps = std::min(std::clamp(enough_, 2 * substeps, 4 * substeps), most_substeps);
+    positions_ = first_positions;
+    velocities_ = first_velocities;
+  }
+}
+
+int CentralDifferences::enough_substeps() const {
+  const double wanted = std::ceil(dt_ / (safety * stable_step(positions_)));
+  return static_cast<int>(std::clamp(wanted, 1.0, static_cast<double>(most_substeps)));
+}
+
+void CentralDifferences::advance(const Positions& start, int substeps) {
+  last_substeps_ = substeps;
+  const double h = dt_ / substeps, kept = std::exp(-mass_damping_ * h);
   Positions acceleration = accelerations(positions_);
-  for (int substep = 1; substep <= last_substeps_; ++substep) {
+  for (int substep = 1; substep <= substeps; ++substep) {
     positions_ += h * velocities_ + 0.5 * h * h * acceleration;
-    const double share = static_cast<double>(substep) / last_substeps_;
+    const double share = static_cast<double>(substep) / substeps;
     for (Eigen::Index v = 0; v < vertex_count(); ++v) {
       if (inverse_mass_[v] > 0) continue;
-      if (substep == last_substeps_) {
+      if (substep == substeps) {
         positions_.row(v) = reference_.row(v);
       } else {
         positions_.row(v) = start.row(v) + share * (reference_.row(v) - start.row(v));
       }
     }
-    if (!positions_.allFinite()) return positions_;
+    if (!positions_.allFinite()) return;
     const Positions after = accelerations(positions_);
     velocities_ = kept * (velocities_ + 0.5 * h * (acceleration + after));
     acceleration = after;
   }
   if (!velocities_.allFinite()) positions_.setConstant(std::numeric_limits<double>::quiet_NaN());
-  return positions_;
 }
 
 SolverState CentralDifferences::state() const { return {{positions_, velocities_, reference_}, {frames_}}; }
@@ -133,6 +153,7 @@ void CentralDifferences::restore(const SolverState& state) {
   velocities_ = state.arrays[1];
   reference_ = state.arrays[2];
   frames_ = state.counters[0];
+  enough_ = 0;
 }
 
 }  // namespace followthrough

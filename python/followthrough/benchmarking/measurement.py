@@ -49,7 +49,7 @@ class Result:
     setup_ms
         Making it and its first frame, which is not among the others, in milliseconds.
     frames
-        That it was finite for, of those measured.
+        That it was measured in, and finite for.
     single_frame
         Root mean square error over all vertices (constrained ones included) and axes of every frame from true history, m.
     rollout_24, rollout_all
@@ -122,6 +122,8 @@ class _Lane:
     judged: bool  # errors are measured here, and not again with other numbers of threads
     positions: FloatArray
     exploded: bool = False
+    stopped: bool = False
+    spent: float = 0.0  # seconds
     milliseconds: list[float] = field(default_factory=list)
     rollout: list[float] = field(default_factory=list)
     single: list[float] = field(default_factory=list)
@@ -130,18 +132,22 @@ class _Lane:
 
     def step(self, reference: FloatArray, ahead: FloatArray | None) -> None:
         """A frame of the rollout, timed."""
-        if self.exploded:
+        if self.exploded or self.stopped:
             return
         _core.set_threads(self.threads)
         begun = time.perf_counter()
         self.positions = self.solver.step(reference, ahead)
-        self.milliseconds.append(1000 * (time.perf_counter() - begun))
+        seconds = time.perf_counter() - begun
+        self.spent += seconds
+        self.milliseconds.append(1000 * seconds)
         self.exploded = not np.isfinite(self.positions).all()
         for name, amount in self.method.work(self.solver).items():
             self.work[name] += amount
 
     def judge(self, truth: FloatArray, reference: FloatArray, ahead: FloatArray | None, frame: int) -> None:
         """The errors of a frame."""
+        if self.stopped:
+            return
         self.rollout.append(np.inf if self.exploded else mean_square(self.positions, truth[frame]))
         if not self.exploded:
             off = np.linalg.norm(self.positions - truth[frame], axis=1).max()
@@ -150,10 +156,20 @@ class _Lane:
             return
         _core.set_threads(self.threads)
         state = self.solver.state()
+        begun = time.perf_counter()
         self.solver.resume(truth[:frame], reference[:frame])
         self.single.append(mean_square(self.solver.step(reference[frame], ahead), truth[frame]))
+        self.spent += time.perf_counter() - begun
         if not self.exploded:
             self.solver.restore(state)
+
+    def stop(self, frame: int, frames: int) -> None:
+        """Take no further part: it takes too long."""
+        self.stopped = True
+        if frame < frames:
+            self.notes.append(
+                f"stopped after {frame} of {frames} frames, as it had taken {LARGEST_SHARE:.0%} of the time; its errors are over these"
+            )
 
     def result(self, single_frame: float) -> Result:
         times = np.array(self.milliseconds)
@@ -192,7 +208,8 @@ def measure(
     threads
         Every method is timed with each of these numbers of threads.
     seconds
-        Stops after the first frame that ends later than this, and leaves out methods that would take more than their share.
+        Stops after the first frame that ends later than this. Leaves out methods that would take, and stops those that have taken,
+        more than their share.
     progress
         Wraps the range of frames, for example into a progress bar.
 
@@ -205,7 +222,7 @@ def measure(
     usual = _core.threads()
     try:
         lanes, skipped = _set_up(scene, methods, threads, seconds)
-        frames = _run(scene, lanes, begun + seconds, progress)
+        frames = _run(scene, lanes, begun, seconds, progress)
     finally:
         _core.set_threads(usual)
     sequence = scene.sequence
@@ -260,7 +277,7 @@ def _set_up(
     return lanes, skipped
 
 
-def _run(scene: Scene, lanes: list[_Lane], deadline: float, progress: Frames) -> int:
+def _run(scene: Scene, lanes: list[_Lane], begun: float, seconds: float, progress: Frames) -> int:
     reference = scene.sequence.reference
     count = scene.sequence.frame_count
     truth = np.empty_like(reference)
@@ -278,14 +295,19 @@ def _run(scene: Scene, lanes: list[_Lane], deadline: float, progress: Frames) ->
         for lane in lanes:
             lane.judge(truth, reference, ahead, frame)
         _require_same(lanes, frame)
+        for lane in lanes:
+            if lane.method.name != TRUTH and not lane.stopped and lane.spent > LARGEST_SHARE * seconds:
+                lane.stop(frame, count - 1)
         done = frame
-        if time.perf_counter() > deadline:
+        if time.perf_counter() > begun + seconds:
             break
     return done
 
 
 def _require_same(lanes: list[_Lane], frame: int) -> None:
     for before, lane in pairwise(lanes):
+        if before.stopped or lane.stopped:
+            continue
         if before.method is lane.method and not np.array_equal(before.positions, lane.positions, equal_nan=True):
             raise ValueError(
                 f"{lane.method.name}: found other positions in frame {frame} with {lane.threads} threads than with {before.threads}, "

@@ -18,6 +18,7 @@ from followthrough.character import FloatArray
 from followthrough.elastic import QUALITIES, CentralDifferences, ImplicitEuler, MaterialName, Quality
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights
+from followthrough.quasistatic import OverQuasistatic, Quasistatic
 from followthrough.simulation import uniform_constants
 from followthrough.solver import Solver, SolverState
 from followthrough.springs import Springs
@@ -101,13 +102,26 @@ def _implicit_euler(quality: Quality, material: MaterialName) -> Callable[[Scene
     )
 
 
+def _over_quasistatic(springs: bool) -> Callable[[Scene], Solver]:
+    return lambda scene: OverQuasistatic(
+        Quasistatic(scene.body(), scene.sequence.constrained, quality="fine"), _springs(scene) if springs else None
+    )
+
+
+def _equilibrium_work(solver: OverQuasistatic) -> Mapping[str, float]:
+    last = solver.last_solve
+    return {"Newton": last.iterations, "CG": last.linear_iterations, "unconverged": not last.converged}
+
+
 def _newton_work(solver: ImplicitEuler) -> Mapping[str, float]:
     last = solver.last_step
     return {"Newton": last.iterations, "CG": last.linear_iterations, "unconverged": not last.converged}
 
 
-def _central_differences(scene: Scene) -> Solver:
-    return CentralDifferences(scene.body(), scene.sequence.constrained, scene.sequence.dt)
+def _central_differences(substeps: int | None) -> Callable[[Scene], Solver]:
+    return lambda scene: CentralDifferences(
+        scene.body(), scene.sequence.constrained, scene.sequence.dt, substeps=substeps
+    )
 
 
 def _central_differences_forecast(solver: CentralDifferences, scene: Scene) -> float:
@@ -132,14 +146,24 @@ def _elastic(quality: Quality, material: MaterialName) -> Method:
 METHODS: tuple[Method, ...] = (
     Method("skinning", "no secondary motion", lambda scene: SkinningAlone()),
     Method("springs", "zero-restlength springs, default constants", _springs),
+    Method("quasistatic", "every pose's static equilibrium", _over_quasistatic(False), _equilibrium_work),
+    Method(
+        "springs/over-quasistatic",
+        "springs that follow the static equilibria",
+        _over_quasistatic(True),
+        _equilibrium_work,
+    ),
     *(_elastic(quality, "invertible-stvk") for quality in QUALITIES),
     *(_elastic(quality, "corotational") for quality in QUALITIES[:-1]),  # converged has the same error
-    Method(
-        "central-differences",
-        "explicit, as many substeps as are stable",
-        _central_differences,
-        lambda solver: {"substeps": solver.last_substeps},
-        _central_differences_forecast,
+    *(
+        Method(
+            f"central-differences/{substeps or 'stable'}",
+            f"explicit, {substeps or 'as many as are stable'} substeps",
+            _central_differences(substeps),
+            lambda solver: {"substeps": solver.last_substeps},
+            _central_differences_forecast,
+        )
+        for substeps in (100, None)
     ),
 )
 

@@ -20,7 +20,9 @@ class CentralDifferences final : public Solver {
   /// @param material shared, never null
   /// @param constrained (n,) vertices that take the reference, in a straight line over a frame. Vertices without a tet do so too.
   /// @param dt s a frame, more than 0
-  /// @param substeps steps a frame; 0: as many as are stable at the frame's start with some to spare, see stable_step
+  /// @param substeps steps a frame; 0: as many as are stable at the frame's start, with some to spare (see stable_step), and where
+  /// the
+  ///   frame turns out to need more, more
   /// @param gravity m/s2
   /// @param mass_damping Rayleigh's alpha, 1/s
   /// @throws InvalidInput on a wrong shape, negative or non-finite constants, or where no vertex is free
@@ -43,6 +45,10 @@ class CentralDifferences final : public Solver {
 
  private:
   Positions accelerations(const Positions& positions) const;
+  /// Substeps that are stable at the present positions, with some to spare.
+  int enough_substeps() const;
+  /// A frame from the present state; `start` is the reference that it starts from.
+  void advance(const Positions& start, int substeps);
 
   ElasticBody body_;
   std::shared_ptr<const Material> material_;
@@ -54,6 +60,7 @@ class CentralDifferences final : public Solver {
   Positions positions_, velocities_, reference_;
   std::int64_t frames_ = -1;  // since the reset; -1: never reset
   int last_substeps_ = 0;
+  int enough_ = 0;  // enough_substeps() at the present positions; 0: not known
 };
 
 }  // namespace followthrough
