@@ -44,7 +44,7 @@ def mistreat_implicit_euler(material: MaterialName, quality: Quality, frames: in
             solver = ImplicitEuler(body, held, DT, quality=quality)
             motion = violent(rest, burst, seed)
             solver.reset(next(motion))
-            farthest = np.abs(rest).max()
+            farthest = 1.0  # m: a body that springs back from collapse overshoots itself
             for reference in motion:
                 x = solver.step(reference)
                 check(x, reference, held, solver.last_step, tolerance)

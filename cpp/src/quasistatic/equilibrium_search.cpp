@@ -17,8 +17,8 @@ constexpr double sufficient_decrease = 1e-4;
 constexpr int most_halvings = 20;
 // Share of a vertex's stiffness at rest that is added where tets offer none.
 constexpr double least_stiffness = 1e-8;
-// Relative residual below which the exact stiffness is tried: projected, it is too stiff to converge fast.
-constexpr double near_the_end = 0.01;
+// Relative residual below which the exact stiffness is tried: the convex one is too stiff to converge fast.
+constexpr double near_the_end = 0.1;
 // How far vertices are shaken, in edges, where the search is stuck farther from the end than `stuck_at_the_end`; and how often.
 constexpr double shake = 0.1;
 constexpr double stuck_at_the_end = 1e-6;
@@ -126,24 +126,29 @@ bool Search::advance(Trial& trial, const Vector& direction) const {
 bool Search::step(Trial& trial, double linear_tolerance, Definiteness definiteness) {
   p_.matrix.copy_values(p_.pins);
   p_.body.add_stiffness(trial.positions, *p_.material, definiteness, 1, p_.matrix);
-  if (definiteness == Definiteness::kSemidefinite) {
+  if (definiteness == Definiteness::kConvex) {
     for (Eigen::Index row = 0; row < p_.rest_stiffness.size(); ++row) {
       p_.matrix.add_to_diagonal(row, least_stiffness * p_.rest_stiffness[row] * BlockMatrix::Block::Identity());
     }
   }
-  p_.preconditioner.compute(p_.matrix);
+  const bool factored = p_.factor.compute(p_.matrix);
+  if (!factored) {
+    if (definiteness == Definiteness::kSymmetric) return false;
+    p_.fallback.compute(p_.matrix);
+  }
+  const Preconditioner& preconditioner = factored ? static_cast<const Preconditioner&>(p_.factor) : p_.fallback;
   Vector direction;
   const LinearReport linear =
-      solve(p_.matrix, p_.preconditioner, -trial.residual, linear_tolerance, p_.settings.most_linear_iterations, direction);
+      solve(p_.matrix, preconditioner, -trial.residual, linear_tolerance, p_.settings.most_linear_iterations, direction);
   report_.linear_iterations += linear.iterations;
   // An indefinite stiffness leads to saddles. What rounding makes of a semidefinite one does not: its iterate is still downhill.
-  if (linear.negative_curvature && definiteness != Definiteness::kSemidefinite) return false;
+  if (linear.negative_curvature && definiteness != Definiteness::kConvex) return false;
   return advance(trial, direction);
 }
 
 bool Search::step(Trial& trial, double linear_tolerance) {
   if (trial.relative < near_the_end && step(trial, linear_tolerance, Definiteness::kSymmetric)) return true;
-  return step(trial, linear_tolerance, Definiteness::kSemidefinite);
+  return step(trial, linear_tolerance, Definiteness::kConvex);
 }
 
 // Away from where forces cancel by symmetry and lead nowhere, as in a body that a pose has turned inside out.

@@ -7,6 +7,7 @@
 
 #include "elastic/block_matrix.hpp"
 #include "elastic/conjugate_gradients.hpp"
+#include "elastic/sparse_cholesky.hpp"
 #include "followthrough/quasistatic/quasistatic.hpp"
 
 namespace followthrough {
@@ -20,7 +21,8 @@ struct EquilibriumProblem {
   std::vector<Index> rows, free;  ///< row of every vertex or -1; vertex of every row
   Vector rest_stiffness;          ///< of every row, pins included, N/m
   BlockMatrix pins, matrix;
-  BlockPreconditioner preconditioner;
+  SparseCholesky factor;
+  BlockPreconditioner fallback;  ///< where single precision has no factor
 };
 
 /// @brief The equilibrium for a reference.

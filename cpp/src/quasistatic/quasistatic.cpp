@@ -78,8 +78,18 @@ EquilibriumProblem pose_problem(const ElasticBody& body, std::shared_ptr<const M
     pins.add_to_diagonal(row, pin * BlockMatrix::Block::Identity());
   }
   BlockMatrix matrix = pins;
-  return {std::move(around), std::move(material),       settings,        std::move(all),    std::move(rows),
-          std::move(free),   std::move(rest_stiffness), std::move(pins), std::move(matrix), {}};
+  SparseCholesky factor(pins);
+  return {std::move(around),
+          std::move(material),
+          settings,
+          std::move(all),
+          std::move(rows),
+          std::move(free),
+          std::move(rest_stiffness),
+          std::move(pins),
+          std::move(matrix),
+          std::move(factor),
+          {}};
 }
 
 }  // namespace

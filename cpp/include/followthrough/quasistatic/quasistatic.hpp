@@ -31,7 +31,7 @@ struct StaticForces {
 };
 
 /// Newton's method with conjugate gradients. It goes downhill in the total energy (elastic, pins, gravity), with the part of each
-/// tet's stiffness that is not positive semidefinite left out until the end is near, so it finds a minimum and no saddle. Where
+/// tet's stiffness that may not be positive semidefinite left out until the end is near, so it finds a minimum and no saddle. Where
 /// tets are beyond a material's clamp (InvertibleStVK) their forces have no energy; what counts there is the forces' own work.
 class Quasistatic {
  public:
