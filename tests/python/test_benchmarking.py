@@ -133,7 +133,7 @@ def test_what_cannot_run_or_takes_too_long_is_skipped_with_a_reason(scene: Scene
     slow = Method("slow", "", lambda scene: SkinningAlone(), forecast=lambda solver, scene: 90.0)
     results = by_name(measure(scene, [Method("absent", "", unavailable), slow, *select(["springs"])], [1, 2]).results)
     assert results["absent"].skipped == "no weights were found (pass --weights)"
-    assert results["slow"].skipped is not None and "90 s" in results["slow"].skipped
+    assert results["slow"].skipped is not None and "takes 90 s or more, and 60 s fit" in results["slow"].skipped
     assert results["springs"].skipped is None
     within = by_name(measure(scene, [replace(slow, forecast=lambda solver, scene: 59.0)], [1]).results)
     assert within["slow"].skipped is None
