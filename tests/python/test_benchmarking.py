@@ -140,7 +140,7 @@ def test_what_cannot_run_or_takes_too_long_is_skipped_with_a_reason(scene: Scene
 
 
 def test_a_method_that_takes_more_than_its_share_is_stopped(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measurement, "LARGEST_SHARE", 0.01)
+    monkeypatch.setattr(measurement, "MOST_SHARES", 0.03)
 
     def wait(steps: int, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         time.sleep(0.1)

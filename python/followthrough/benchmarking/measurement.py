@@ -24,8 +24,8 @@ from followthrough.solver import Solver
 
 #: A frame that takes longer than this many seconds is not waited for.
 LONGEST_FRAME = 60.0
-#: A method may take this share of a size's seconds at most; half of it for a frame.
-LARGEST_SHARE = 0.25
+#: A method may take so many times its fair share of a size's seconds at most, and half of that for a frame.
+MOST_SHARES = 2.0
 
 Frames = Callable[[range], Iterable[int]]
 
@@ -166,7 +166,7 @@ class _Lane:
         self.stopped = True
         if frame < frames:
             self.notes.append(
-                f"stopped after {frame} of {frames} frames, as it had taken {LARGEST_SHARE:.0%} of the time; its errors are over these"
+                f"stopped after {frame} of {frames} frames, as it had taken more than its share of the time; its errors are over these"
             )
 
     def result(self, single_frame: float) -> Result:
@@ -246,10 +246,10 @@ def _set_up(
     scene: Scene, methods: list[Method], threads: list[int], seconds: float
 ) -> tuple[list[_Lane], dict[tuple[str, int], Result]]:
     reference = scene.sequence.reference
-    longest = min(LONGEST_FRAME, max(LARGEST_SHARE * seconds / 2, 0.0))
     wanted = [(method, number) for method in methods for number in threads]
     if all(method.name != TRUTH for method in methods):
         wanted.append((truth_method(), threads[-1]))
+    longest = min(LONGEST_FRAME, max(MOST_SHARES / len(wanted) * seconds / 2, 0.0))
     lanes: list[_Lane] = []
     skipped: dict[tuple[str, int], Result] = {}
     for method, number in wanted:
@@ -298,7 +298,7 @@ def _run(scene: Scene, lanes: list[_Lane], begun: float, seconds: float, progres
             lane.judge(truth, reference, ahead, frame)
         _require_same(lanes, frame)
         for lane in lanes:
-            if lane.method.name != TRUTH and not lane.stopped and lane.spent > LARGEST_SHARE * seconds:
+            if lane.method.name != TRUTH and not lane.stopped and lane.spent > MOST_SHARES / len(lanes) * seconds:
                 lane.stop(frame, count - 1)
         done = frame
         if time.perf_counter() > begun + seconds:
