@@ -23,7 +23,7 @@ $(VENV)/.tools: tools/setup.sh pyproject.toml
 
 $(VENV)/.installed: $(VENV)/.tools $(SOURCES)
 	@echo "Building and installing followthrough into $(VENV)"
-	@$(PY) -m pip install --quiet --no-build-isolation --no-deps --force-reinstall .
+	@wheel=$$($(PY) tools/built_wheel.py) && $(PY) -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall "$$wheel"
 	@touch $@
 
 setup: $(VENV)/.installed ## Make the virtual environment with everything in it; .venv/bin/followthrough is there afterwards
@@ -62,7 +62,8 @@ $(TRAINING_VENV)/.tools: tools/requirements.py pyproject.toml
 	@touch $@
 
 $(TRAINING_VENV)/.installed: $(TRAINING_VENV)/.tools $(SOURCES)
-	@$(TRAINING_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --force-reinstall .
+	@python=$(TRAINING_VENV)/bin/python; wheel=$$($$python tools/built_wheel.py) && \
+	  $$python -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall "$$wheel"
 	@touch $@
 
 test-training: $(TRAINING_VENV)/.installed ## The tests that need PyTorch, in a virtual environment of its own (.venv-training)
@@ -113,7 +114,7 @@ extension: $(VENV)/.tools ## Build and validate the Blender extension's zip in d
 	@$(PY) tools/build_extension.py
 
 wheel: $(VENV)/.tools ## Build this Python's wheel in dist/
-	@$(PY) -m pip wheel --quiet --no-build-isolation --no-deps --wheel-dir dist .
+	@wheel=$$($(PY) tools/built_wheel.py) && mkdir -p dist && cp "$$wheel" dist/
 
 clean: ## Remove everything that was built
 	rm -rf build dist $(VENV) $(TRAINING_VENV) .venv-bpy* $(DEMO_OUTPUT) python/followthrough/*.so

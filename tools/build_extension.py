@@ -19,6 +19,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from built_wheel import built_wheel
+
 ROOT = Path(__file__).resolve().parents[1]
 
 #: The Pythons that Blender 4.2 LTS to 5.2 LTS come with.
@@ -67,9 +69,6 @@ def _parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--wheels", nargs="+", type=Path, default=[], metavar="PATH", help="take these wheels, or all in a folder"
     )
-    parser.add_argument(
-        "--no-build-isolation", action="store_true", help="build with what the interpreters have installed"
-    )
     parser.add_argument("--output", type=Path, default=ROOT / "dist", metavar="FOLDER", help="default: dist")
     return parser.parse_args(argv)
 
@@ -92,7 +91,7 @@ def build(arguments: argparse.Namespace, work: Path) -> Path:
         shutil.copy(wheel, wheels)
     interpreters = arguments.python or ([] if arguments.wheels else find_interpreters())
     for interpreter in interpreters:
-        build_wheel(interpreter, wheels, isolated=not arguments.no_build_isolation)
+        build_wheel(interpreter, wheels)
     collect_dependencies(wheels)
     version = project_version()
     write_manifest(source / "blender_manifest.toml", version, sorted(path.name for path in wheels.iterdir()))
@@ -149,17 +148,14 @@ def _cpython_version(interpreter: str) -> tuple[int, int] | None:
             return None
 
 
-def build_wheel(interpreter: str, wheels: Path, *, isolated: bool) -> None:
+def build_wheel(interpreter: str, wheels: Path) -> None:
     """Build followthrough's wheel with an interpreter, with the libraries it links to, and put it into `wheels`."""
     print(f"Building the wheel for {interpreter}", file=sys.stderr, flush=True)
-    with tempfile.TemporaryDirectory(prefix="followthrough-wheel-") as built:
-        options = [] if isolated else ["--no-build-isolation"]
-        _run([interpreter, "-m", "pip", "wheel", "--quiet", "--no-deps", *options, "--wheel-dir", built, ROOT])
-        (wheel,) = Path(built).glob("*.whl")
-        if sys.platform == "linux":
-            repair_wheel(wheel, wheels)
-        else:
-            shutil.copy(wheel, wheels)
+    wheel = built_wheel(interpreter)
+    if sys.platform == "linux":
+        repair_wheel(wheel, wheels)
+    else:
+        shutil.copy(wheel, wheels)
 
 
 def repair_wheel(wheel: Path, wheels: Path) -> None:

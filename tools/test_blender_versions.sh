@@ -14,7 +14,8 @@ for blender in ${BLENDER_VERSIONS:-4.2 4.5 5.0 5.2}; do
   sed -i "s/^bpy.*/bpy==$blender.*/" "$venv/requirements.txt"
   "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r "$venv/requirements.txt"
   bash "$here/blender_libraries.sh" "$venv/bin/python"
-  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps --force-reinstall .
+  wheel=$("$venv/bin/python" "$here/built_wheel.py")
+  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall "$wheel"
   echo "== Blender $blender (Python ${python_of[$blender]})"
   "$venv/bin/python" -m pytest tests/blender || failed+=("$blender")
 done

@@ -1,141 +1,237 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// ImplicitEuler::step and its parts on a swinging block of soft flesh around a bone, at several sizes and qualities. Beside the
-// time of a frame stand its Newton and conjugate gradient iterations, and how far its positions are from the converged ones after
-// the whole motion, as a share of how far those are from the reference.
+// ImplicitEuler on a dance (dancer.hpp): against Newton's method with Eigen's linear solvers at the same residual, frame by frame
+// in turns; what each quality costs over the whole dance and how far it is from converged; and the parts of a step.
 #include <benchmark/benchmark.h>
+#include <sys/resource.h>
 
+#include <chrono>
 #include <cmath>
 
+#include "dancer.hpp"
 #include "elastic/block_matrix.hpp"
-#include "elastic/conjugate_gradients.hpp"
+#include "elastic/sparse_cholesky.hpp"
 #include "followthrough/elastic/implicit_euler.hpp"
+#include "plain_newton.hpp"
 
 namespace {
 
 using namespace followthrough;
 
-constexpr double edge = 0.2;
-constexpr int frames = 12;
-
 struct Scene {
-  Positions rest;
+  Dancer dancer;
   ElasticBody body;
-  Mask constrained;
 };
 
-// A cube of `cells` cubes a side, its middle column constrained.
-Scene scene(int cells, double youngs_modulus) {
-  const int side = cells + 1;
-  const auto vertex = [&](int x, int y, int z) { return static_cast<Index>((x * side + y) * side + z); };
-  Positions rest(side * side * side, 3);
-  Mask constrained(rest.rows());
-  for (int x = 0; x < side; ++x) {
-    for (int y = 0; y < side; ++y) {
-      for (int z = 0; z < side; ++z) {
-        rest.row(vertex(x, y, z)) << edge * x, edge * y, edge * z;
-        constrained[vertex(x, y, z)] = std::abs(2 * x - cells) <= 2 && std::abs(2 * z - cells) <= 2;
-      }
-    }
-  }
-  const int cube[6][4] = {{0, 4, 2, 1}, {4, 2, 1, 5}, {2, 1, 5, 3}, {4, 6, 2, 5}, {6, 5, 7, 3}, {6, 2, 5, 3}};  // bits: x y z
-  Tets tets(6 * cells * cells * cells, 4);
-  Eigen::Index tet = 0;
-  for (int x = 0; x < cells; ++x) {
-    for (int y = 0; y < cells; ++y) {
-      for (int z = 0; z < cells; ++z) {
-        for (const auto& corners : cube) {
-          for (int k = 0; k < 4; ++k) {
-            tets(tet, k) = vertex(x + (corners[k] >> 2), y + (corners[k] >> 1 & 1), z + (corners[k] & 1));
-          }
-          ++tet;
-        }
-      }
-    }
-  }
-  ElasticBody body(rest, tets, {Vector::Constant(rest.rows(), youngs_modulus), Vector::Constant(rest.rows(), 1000.0)});
-  return {std::move(rest), std::move(body), std::move(constrained)};
+Scene scene(double edge, double youngs_modulus) {
+  Dancer dancer(edge);
+  const Eigen::Index count = dancer.rest.rows();
+  ElasticBody body(dancer.rest, dancer.tets, {Vector::Constant(count, youngs_modulus), Vector::Constant(count, 1000.0)});
+  return {std::move(dancer), std::move(body)};
 }
 
-Positions reference(const Scene& s, int frame) {
-  Positions moved = s.rest;
-  moved.col(0).array() += 0.25 * std::sin(0.5 * frame);
-  moved.col(2).array() += 0.15 * std::sin(0.9 * frame);
-  return moved;
+Scene scene(const benchmark::State& state) {
+  return scene(1e-3 * static_cast<double>(state.range(0)), static_cast<double>(state.range(1)));
 }
 
 ImplicitEuler solver(const Scene& s, const NewtonSettings& newton) {
-  return ImplicitEuler(s.body, std::make_shared<InvertibleStVK>(), s.constrained, std::sqrt(0.001), newton);
+  return ImplicitEuler(s.body, std::make_shared<InvertibleStVK>(), s.dancer.constrained, Dancer::dt, newton);
 }
 
-void implicit_euler_step(benchmark::State& state, const NewtonSettings& newton) {
-  const Scene s = scene(static_cast<int>(state.range(0)), static_cast<double>(state.range(1)));
-  ImplicitEuler exact = solver(s, NewtonSettings::converged()), tried = solver(s, newton);
-  const SolverState start = [&] {
-    exact.reset(reference(s, 0));
-    return exact.state();
-  }();
-  for (int frame = 1; frame <= frames; ++frame) exact.step(reference(s, frame));
-  double newton_iterations = 0, linear_iterations = 0;
+double seconds() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
+
+// Root mean square distance a vertex, m.
+double distance(const Positions& a, const Positions& b) { return (a - b).norm() / std::sqrt(static_cast<double>(a.rows())); }
+
+// Seconds of a step by ImplicitEuler and by two plain Newton methods, all from the same state and to the same residual.
+void against_plain_eigen(benchmark::State& state) {
+  const Scene s = scene(state);
+  const double tolerance = state.range(2) == 0 ? 1e-2 : 1e-8;
+  const auto frames = static_cast<int>(state.range(3));
+  ImplicitEuler history = solver(s, NewtonSettings::fine()), ours = solver(s, {tolerance, 100, 2000});
+  PlainNewton<PlainCholesky> cholesky(s.body, s.dancer.constrained, Dancer::dt);
+  PlainNewton<PlainConjugateGradients> gradients(s.body, s.dancer.constrained, Dancer::dt);
+  double own = 0, direct = 0, iterative = 0, apart = 0;
   for (auto _ : state) {
-    tried.restore(start);
+    history.reset(s.dancer.reference(0));
     for (int frame = 1; frame <= frames; ++frame) {
-      tried.step(reference(s, frame));
-      newton_iterations += tried.last_step().iterations;
-      linear_iterations += tried.last_step().linear_iterations;
+      const SolverState before = history.state();
+      const Positions reference = s.dancer.reference(frame);
+      ours.restore(before);
+      double start = seconds();
+      const Positions x = ours.step(reference);
+      own += seconds() - start;
+      if (frame % 4 == 0) {  // they take their time
+        start = seconds();
+        const Positions y = cholesky.step(before.arrays[0], before.arrays[1], before.arrays[2], reference, tolerance);
+        direct += 4 * (seconds() - start);
+        start = seconds();
+        const Positions z = gradients.step(before.arrays[0], before.arrays[1], before.arrays[2], reference, tolerance);
+        iterative += 4 * (seconds() - start);
+        apart = std::max({apart, distance(x, y), distance(x, z)});
+      }
+      history.step(reference);
     }
+    state.SetIterationTime(own);
   }
-  const double runs = static_cast<double>(state.iterations()) * frames;
-  const Positions lag = exact.state().arrays[0] - reference(s, frames);
-  state.counters["vertices"] = static_cast<double>(s.rest.rows());
-  state.counters["newton"] = newton_iterations / runs;
-  state.counters["cg"] = linear_iterations / runs;
-  state.counters["error"] = (tried.state().arrays[0] - exact.state().arrays[0]).norm() / lag.norm();
-  state.counters["s_a_frame"] = benchmark::Counter(runs, benchmark::Counter::kIsRate | benchmark::Counter::kInvert);
+  const double steps = static_cast<double>(state.iterations()) * frames;
+  state.counters["vertices"] = static_cast<double>(s.dancer.rest.rows());
+  state.counters["ours_ms"] = 1e3 * own / steps;
+  state.counters["ldlt_ms"] = 1e3 * direct / steps;
+  state.counters["jacobi_cg_ms"] = 1e3 * iterative / steps;
+  state.counters["ldlt_over_ours"] = direct / own;
+  state.counters["jacobi_cg_over_ours"] = iterative / own;
+  state.counters["apart_m"] = apart;
+}
+
+// A whole dance in one quality; errors against the converged dance.
+void dance(benchmark::State& state, const NewtonSettings& newton) {
+  const Scene s = scene(state);
+  const auto frames = static_cast<int>(state.range(2));
+  ImplicitEuler exact = solver(s, NewtonSettings::converged()), tried = solver(s, newton);
+  double slowest = 0, total = 0, error = 0, lag = 0, worst = 0, one_frame = 0, newton_iterations = 0, missed = 0;
+  for (auto _ : state) {
+    exact.reset(s.dancer.reference(0));
+    tried.reset(s.dancer.reference(0));
+    for (int frame = 1; frame <= frames; ++frame) {
+      const Positions reference = s.dancer.reference(frame);
+      const double start = seconds();
+      const Positions x = tried.step(reference);
+      const double taken = seconds() - start;
+      newton_iterations += tried.last_step().iterations;
+      const SolverState after = tried.state(), before = exact.state();
+      missed += tried.last_step().converged ? 0 : 1;
+      exact.step(reference);
+      const Positions& truth = exact.state().arrays[0];
+      tried.restore(before);
+      one_frame += std::pow(distance(tried.step(reference), truth), 2);
+      tried.restore(after);
+      total += taken;
+      slowest = std::max(slowest, taken);
+      error += std::pow(distance(x, truth), 2);
+      worst = std::max(worst, distance(x, truth));
+      lag += std::pow(distance(truth, reference), 2);
+    }
+    state.SetIterationTime(total);
+  }
+  const double steps = static_cast<double>(state.iterations()) * frames;
+  state.counters["vertices"] = static_cast<double>(s.dancer.rest.rows());
+  state.counters["ms"] = 1e3 * total / steps;
+  state.counters["slowest_ms"] = 1e3 * slowest;
+  state.counters["newton"] = newton_iterations / steps;
+  state.counters["above_tolerance"] = missed / static_cast<double>(state.iterations());
+  state.counters["one_frame_m"] = std::sqrt(one_frame / steps);
+  state.counters["error_m"] = std::sqrt(error / steps);
+  state.counters["worst_m"] = worst;
+  state.counters["lag_m"] = std::sqrt(lag / steps);
+}
+
+// Time alone, and the process's largest memory.
+void large_dance(benchmark::State& state, const NewtonSettings& newton) {
+  const Scene s = scene(state);
+  ImplicitEuler tried = solver(s, newton);
+  tried.reset(s.dancer.reference(0));
+  int frame = 0;
+  double newton_iterations = 0, missed = 0;
+  for (auto _ : state) {
+    tried.step(s.dancer.reference(++frame));
+    newton_iterations += tried.last_step().iterations;
+    missed += tried.last_step().converged ? 0 : 1;
+  }
+  rusage usage{};
+  getrusage(RUSAGE_SELF, &usage);
+  state.counters["vertices"] = static_cast<double>(s.dancer.rest.rows());
+  state.counters["newton"] = newton_iterations / frame;
+  state.counters["above_tolerance"] = missed;
+  state.counters["memory_MB"] = static_cast<double>(usage.ru_maxrss) / 1024;
 }
 
 void elastic_forces(benchmark::State& state) {
-  const Scene s = scene(static_cast<int>(state.range(0)), 5e4);
-  const Positions bent = s.rest + 0.01 * Positions::Random(s.rest.rows(), 3);
+  const Scene s = scene(state);
+  const Positions bent = s.dancer.rest + 0.01 * Positions::Random(s.dancer.rest.rows(), 3);
   const InvertibleStVK stvk;
   for (auto _ : state) benchmark::DoNotOptimize(s.body.internal_forces(bent, stvk).data());
   state.SetItemsProcessed(static_cast<std::int64_t>(state.iterations()) * s.body.tet_count());
 }
 
-void elastic_stiffness(benchmark::State& state, Definiteness definiteness) {
-  const Scene s = scene(static_cast<int>(state.range(0)), 5e4);
-  const Positions bent = s.rest + 0.01 * Positions::Random(s.rest.rows(), 3);
-  std::vector<Index> rows(static_cast<std::size_t>(s.rest.rows()));
+struct Assembled {
+  Scene scene;
+  Positions bent;
+  BlockMatrix matrix;
+};
+
+Assembled assembled(const benchmark::State& state) {
+  Scene s = scene(state);
+  std::vector<Index> rows(static_cast<std::size_t>(s.dancer.rest.rows()));
   for (std::size_t v = 0; v < rows.size(); ++v) rows[v] = static_cast<Index>(v);
   BlockMatrix matrix(s.body.corners(), rows);
-  const InvertibleStVK stvk;
+  s.body.add_mass(1.0, matrix);
+  const Positions bent = s.dancer.rest + 0.01 * Positions::Random(s.dancer.rest.rows(), 3);
+  s.body.add_stiffness(bent, InvertibleStVK(), Definiteness::kConvex, Dancer::dt * Dancer::dt, matrix);
+  return {std::move(s), bent, std::move(matrix)};
+}
+
+void elastic_stiffness(benchmark::State& state, Definiteness definiteness) {
+  Assembled a = assembled(state);
   for (auto _ : state) {
-    matrix.set_zero();
-    s.body.add_stiffness(bent, stvk, definiteness, 1.0, matrix);
-    benchmark::DoNotOptimize(matrix.blocks().data());
+    a.matrix.set_zero();
+    a.scene.body.add_stiffness(a.bent, InvertibleStVK(), definiteness, 1.0, a.matrix);
+    benchmark::DoNotOptimize(a.matrix.blocks().data());
   }
-  state.SetItemsProcessed(static_cast<std::int64_t>(state.iterations()) * s.body.tet_count());
+  state.SetItemsProcessed(static_cast<std::int64_t>(state.iterations()) * a.scene.body.tet_count());
 }
 
-void sizes(benchmark::internal::Benchmark* bench) {
-  bench->ArgsProduct({{10, 20}, {50000, 5000000}})->ArgNames({"cells", "modulus"})->Unit(benchmark::kMillisecond)->UseRealTime();
+void factorization(benchmark::State& state) {
+  const Assembled a = assembled(state);
+  SparseCholesky factor(a.matrix);
+  for (auto _ : state) benchmark::DoNotOptimize(factor.compute(a.matrix));
+  state.counters["numbers"] = static_cast<double>(factor.size());
+  state.counters["flops"] =
+      benchmark::Counter(2 * factor.work() * static_cast<double>(state.iterations()), benchmark::Counter::kIsRate);
 }
 
-BENCHMARK(elastic_forces)->Arg(10)->Arg(32)->Unit(benchmark::kMicrosecond)->UseRealTime();
-BENCHMARK_CAPTURE(elastic_stiffness, exact, Definiteness::kSymmetric)
-    ->Arg(10)
-    ->Arg(32)
-    ->Unit(benchmark::kMicrosecond)
-    ->UseRealTime();
-BENCHMARK_CAPTURE(elastic_stiffness, semidefinite, Definiteness::kSemidefinite)
-    ->Arg(10)
-    ->Unit(benchmark::kMicrosecond)
-    ->UseRealTime();
-BENCHMARK_CAPTURE(implicit_euler_step, preview, NewtonSettings::preview())->Apply(sizes);
-BENCHMARK_CAPTURE(implicit_euler_step, fine, NewtonSettings::fine())->Apply(sizes);
-BENCHMARK_CAPTURE(implicit_euler_step, converged, NewtonSettings::converged())
-    ->ArgsProduct({{10}, {50000, 5000000}})
-    ->ArgNames({"cells", "modulus"})
-    ->Unit(benchmark::kMillisecond)
-    ->UseRealTime();
+void factor_solve(benchmark::State& state) {
+  const Assembled a = assembled(state);
+  SparseCholesky factor(a.matrix);
+  factor.compute(a.matrix);
+  const Vector b = Vector::Random(3 * a.matrix.row_count());
+  Vector z(b.size());
+  for (auto _ : state) {
+    factor.apply(b, z);
+    benchmark::DoNotOptimize(z.data());
+  }
+}
+
+// Arguments: edge in mm (185: 1,500 vertices, 100: 7,700, 55: 41,000), Young's modulus, ...
+BENCHMARK(against_plain_eigen)
+    ->ArgNames({"edge", "modulus", "tight", "frames"})
+    ->ArgsProduct({{185}, {50000, 5000000}, {0, 1}, {48}})
+    ->ArgsProduct({{100}, {50000}, {0}, {8}})
+    ->UseManualTime()
+    ->Iterations(1)
+    ->Unit(benchmark::kMillisecond);
+void dances(benchmark::internal::Benchmark* bench) {
+  bench->ArgNames({"edge", "modulus", "frames"})
+      ->ArgsProduct({{185}, {50000, 5000000}, {Dancer::frames}})
+      ->UseManualTime()
+      ->Iterations(1)
+      ->Unit(benchmark::kMillisecond);
+}
+BENCHMARK_CAPTURE(dance, preview, NewtonSettings::preview())->Apply(dances);
+BENCHMARK_CAPTURE(dance, fine, NewtonSettings::fine())->Apply(dances);
+BENCHMARK_CAPTURE(dance, converged, NewtonSettings::converged())->Apply(dances);
+void large(benchmark::internal::Benchmark* bench) {
+  bench->ArgNames({"edge", "modulus"})->Args({55, 50000})->Iterations(3)->UseRealTime()->Unit(benchmark::kMillisecond);
+}
+BENCHMARK_CAPTURE(large_dance, preview, NewtonSettings::preview())->Apply(large);
+BENCHMARK_CAPTURE(large_dance, fine, NewtonSettings::fine())->Apply(large);
+void parts(benchmark::internal::Benchmark* bench) {
+  bench->ArgNames({"edge", "modulus"})->Args({185, 50000})->Args({100, 50000})->Unit(benchmark::kMicrosecond)->UseRealTime();
+}
+BENCHMARK(elastic_forces)->Apply(parts);
+BENCHMARK_CAPTURE(elastic_stiffness, exact, Definiteness::kSymmetric)->Apply(parts);
+BENCHMARK_CAPTURE(elastic_stiffness, convex, Definiteness::kConvex)->Apply(parts);
+BENCHMARK_CAPTURE(elastic_stiffness, semidefinite, Definiteness::kSemidefinite)->Apply(parts);
+BENCHMARK(factorization)->Apply(parts);
+BENCHMARK(factor_solve)->Apply(parts);
 
 }  // namespace

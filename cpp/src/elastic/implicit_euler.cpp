@@ -22,8 +22,8 @@ constexpr double sufficient_decrease = 1e-4;
 constexpr int most_halvings = 12;
 // An iteration that leaves less than this share of the residual is near the end.
 constexpr double near_gain = 0.2;
-// What a multiplication of a factorization and a number of the factor in a solve take.
-constexpr double factor_nanoseconds = 0.04, solve_nanoseconds = 0.6;
+// What a factorization takes for each multiplication and each vertex, and an iteration for each number of the factor.
+constexpr double multiplication_nanoseconds = 0.04, row_nanoseconds = 900, solve_nanoseconds = 0.4;
 
 void require_number(const char* name, double value, bool zero_allowed) {
   if (!(std::isfinite(value) && (value > 0 || (zero_allowed && value == 0)))) {
@@ -189,7 +189,8 @@ std::optional<Vector> ImplicitEuler::Step::direction(const Trial& from, double l
 }
 
 int ImplicitEuler::Step::iterations_worth_a_factor() const {
-  return static_cast<int>(p_.factor.work() * factor_nanoseconds / (static_cast<double>(p_.factor.size()) * solve_nanoseconds));
+  const double factor = p_.factor.work() * multiplication_nanoseconds + static_cast<double>(p_.free.size()) * row_nanoseconds;
+  return static_cast<int>(factor / (static_cast<double>(p_.factor.size()) * solve_nanoseconds));
 }
 
 // Takes as much of a direction as helps; false where nothing does.

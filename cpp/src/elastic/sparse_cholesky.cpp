@@ -45,8 +45,9 @@ int padded(int rows) { return (rows + front_lanes - 1) / front_lanes * front_lan
 
 template <typename Number>
 Number* aligned(Number* from) {
-  const auto address = reinterpret_cast<std::uintptr_t>(from);
-  return from + (64 - address % 64) % 64 / sizeof(Number);
+  constexpr std::size_t line = 64 / sizeof(Number);
+  const std::size_t place = reinterpret_cast<std::uintptr_t>(from) / sizeof(Number) % line;
+  return from + (line - place) % line;
 }
 
 std::vector<Index> least_fill_order(const BlockMatrix& pattern) {
@@ -202,7 +203,10 @@ bool SparseCholesky::compute(const BlockMatrix& matrix) {
   for (std::size_t f = 0; f < fronts_.size(); ++f) {
     const Front& front = fronts_[f];
     const int size = front.size(), pivots = static_cast<int>(3 * front.count), stride = front.stride;
-    std::memset(space, 0, sizeof(float) * static_cast<std::size_t>(stride) * size);
+    for (int j = 0; j < size; ++j) {  // the lower half
+      const int first = j / front_lanes * front_lanes;
+      std::memset(space + static_cast<std::size_t>(j) * stride + first, 0, sizeof(float) * (stride - first));
+    }
     for (Index c = 0; c < front.count; ++c) local_[front.first + c] = c;
     for (std::size_t k = 0; k < front.rows.size(); ++k) local_[front.rows[k]] = front.count + static_cast<Index>(k);
     add_matrix(matrix, front, space);

@@ -71,6 +71,7 @@ std::vector<Index> along_a_curve(const std::vector<Index>& vertices, ConstPositi
   }
   std::sort(places.begin(), places.end());
   std::vector<Index> ordered;
+  ordered.reserve(places.size());
   for (const auto& place : places) ordered.push_back(place.second);
   return ordered;
 }

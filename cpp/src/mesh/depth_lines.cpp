@@ -104,8 +104,8 @@ class LineFollower {
       Inside& here = inside(shell);
       int level = here.level + (crossing.outward ? -1 : 1);
       if (way == Crossings::kCountInside) level = std::max(level, 0);
-      bool outside = false;
-      if (way == Crossings::kAskEverywhere) level = (outside = outside_after(crossings, k)) ? 0 : 1;
+      const bool outside = way == Crossings::kAskEverywhere && outside_after(crossings, k);
+      if (way == Crossings::kAskEverywhere) level = outside ? 0 : 1;
       if (level != here.level) {
         const bool deeper = std::abs(level) > std::abs(here.level);
         if (here.level != 0) {

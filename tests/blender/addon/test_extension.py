@@ -45,7 +45,11 @@ def load_tool() -> ModuleType:
     spec = importlib.util.spec_from_file_location("build_extension", ROOT / "tools" / "build_extension.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    sys.path.insert(0, str(ROOT / "tools"))  # as it is where the tool is run
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(ROOT / "tools"))
     return module
 
 
