@@ -161,14 +161,6 @@ class _Lane:
         if not self.exploded:
             self.solver.restore(state)
 
-    def stop(self, frame: int, frames: int) -> None:
-        """Take no further part: it takes too long."""
-        self.stopped = True
-        if frame < frames:
-            self.notes.append(
-                f"stopped after {frame} of {frames} frames, as it had taken more than its share of the time; its errors are over these"
-            )
-
     def result(self, single_frame: float) -> Result:
         times = np.array(self.milliseconds)
         low, median, high = np.percentile(times, [10, 50, 90])
@@ -299,10 +291,15 @@ def _run(scene: Scene, lanes: list[_Lane], begun: float, seconds: float, progres
         _require_same(lanes, frame)
         for lane in lanes:
             if lane.method.name != TRUTH and not lane.stopped and lane.spent > MOST_SHARES / len(lanes) * seconds:
-                lane.stop(frame, count - 1)
+                lane.stopped = True
         done = frame
         if time.perf_counter() > begun + seconds:
             break
+    for lane in lanes:
+        if len(lane.rollout) < done:
+            lane.notes.append(
+                f"stopped after {len(lane.rollout)} frames, as it had taken more than its share of the time; its errors are over these"
+            )
     return done
 
 
