@@ -133,14 +133,14 @@ def test_what_cannot_run_or_takes_too_long_is_skipped_with_a_reason(scene: Scene
     slow = Method("slow", "", lambda scene: SkinningAlone(), forecast=lambda solver, scene: 90.0)
     results = by_name(measure(scene, [Method("absent", "", unavailable), slow, *select(["springs"])], [1, 2]).results)
     assert results["absent"].skipped == "no weights were found (pass --weights)"
-    assert results["slow"].skipped is not None and "90 s" in results["slow"].skipped
+    assert results["slow"].skipped is not None and "takes 90 s or more, and 60 s fit" in results["slow"].skipped
     assert results["springs"].skipped is None
     within = by_name(measure(scene, [replace(slow, forecast=lambda solver, scene: 59.0)], [1]).results)
     assert within["slow"].skipped is None
 
 
 def test_a_method_that_takes_more_than_its_share_is_stopped(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measurement, "LARGEST_SHARE", 0.01)
+    monkeypatch.setattr(measurement, "MOST_SHARES", 0.03)
 
     def wait(steps: int, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         time.sleep(0.1)
@@ -149,7 +149,7 @@ def test_a_method_that_takes_more_than_its_share_is_stopped(scene: Scene, monkey
     log = Log([])
     results = by_name(measure(scene, [logged("slow", log, wait), logged("quick", log)], [1], seconds=30.0).results)
     assert results["slow"].frames == 2  # two steps a frame, and 0.3 s of 30
-    assert results["slow"].notes[0].startswith("stopped after 2 of 5 frames")
+    assert results["slow"].notes[0].startswith("stopped after 2 frames")
     assert results["quick"].frames == FRAMES and not results["quick"].notes
 
 

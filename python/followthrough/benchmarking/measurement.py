@@ -24,10 +24,8 @@ from followthrough.solver import Solver
 
 #: A frame that takes longer than this many seconds is not waited for.
 LONGEST_FRAME = 60.0
-#: A method may take this share of a size's seconds at most.
-LARGEST_SHARE = 0.25
-#: Frames that a size should reach in its seconds; what the share above is compared with.
-ENOUGH_FRAMES = 24
+#: A method may take so many times its fair share of a size's seconds at most, and half of that for a frame.
+MOST_SHARES = 2.0
 
 Frames = Callable[[range], Iterable[int]]
 
@@ -163,14 +161,6 @@ class _Lane:
         if not self.exploded:
             self.solver.restore(state)
 
-    def stop(self, frame: int, frames: int) -> None:
-        """Take no further part: it takes too long."""
-        self.stopped = True
-        if frame < frames:
-            self.notes.append(
-                f"stopped after {frame} of {frames} frames, as it had taken {LARGEST_SHARE:.0%} of the time; its errors are over these"
-            )
-
     def result(self, single_frame: float) -> Result:
         times = np.array(self.milliseconds)
         low, median, high = np.percentile(times, [10, 50, 90])
@@ -248,10 +238,10 @@ def _set_up(
     scene: Scene, methods: list[Method], threads: list[int], seconds: float
 ) -> tuple[list[_Lane], dict[tuple[str, int], Result]]:
     reference = scene.sequence.reference
-    longest = min(LONGEST_FRAME, LARGEST_SHARE * seconds / (2 * min(ENOUGH_FRAMES, len(reference) - 1)))
     wanted = [(method, number) for method in methods for number in threads]
     if all(method.name != TRUTH for method in methods):
         wanted.append((truth_method(), threads[-1]))
+    longest = min(LONGEST_FRAME, max(MOST_SHARES / len(wanted) * seconds / 2, 0.0))
     lanes: list[_Lane] = []
     skipped: dict[tuple[str, int], Result] = {}
     for method, number in wanted:
@@ -261,14 +251,18 @@ def _set_up(
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 solver = method.make(scene)
-            solver.reset(reference[0])
-            solver.step(reference[1], None)
+            expected = method.forecast(solver, scene) if method.forecast else 0.0
+            if expected <= longest:
+                solver.reset(reference[0])
+                started = time.perf_counter()
+                solver.step(reference[1], None)
+                expected = time.perf_counter() - started
             setup = 1000 * (time.perf_counter() - begun)
         except MethodUnavailableError as error:
             skipped[method.name, number] = Result(method.name, method.summary, number, skipped=str(error))
             continue
-        if method.forecast and (expected := method.forecast(solver, scene)) > longest:
-            reason = f"a frame would take {expected:.2g} s or more, and {max(longest, 0.0):.2g} s fit the time"
+        if expected > longest and method.name != TRUTH:
+            reason = f"a frame takes {expected:.2g} s or more, and {longest:.2g} s fit the time"
             skipped[method.name, number] = Result(method.name, method.summary, number, skipped=reason)
             continue
         solver.reset(reference[0])
@@ -296,11 +290,16 @@ def _run(scene: Scene, lanes: list[_Lane], begun: float, seconds: float, progres
             lane.judge(truth, reference, ahead, frame)
         _require_same(lanes, frame)
         for lane in lanes:
-            if lane.method.name != TRUTH and not lane.stopped and lane.spent > LARGEST_SHARE * seconds:
-                lane.stop(frame, count - 1)
+            if lane.method.name != TRUTH and not lane.stopped and lane.spent > MOST_SHARES / len(lanes) * seconds:
+                lane.stopped = True
         done = frame
         if time.perf_counter() > begun + seconds:
             break
+    for lane in lanes:
+        if len(lane.rollout) < done:
+            lane.notes.append(
+                f"stopped after {len(lane.rollout)} frames, as it had taken more than its share of the time; its errors are over these"
+            )
     return done
 
 

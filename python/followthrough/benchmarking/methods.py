@@ -148,7 +148,7 @@ METHODS: tuple[Method, ...] = (
     Method("springs", "zero-restlength springs, default constants", _springs),
     Method("quasistatic", "every pose's static equilibrium", _over_quasistatic(False), _equilibrium_work),
     Method(
-        "springs/over-quasistatic",
+        "quasistatic/springs",
         "springs that follow the static equilibria",
         _over_quasistatic(True),
         _equilibrium_work,
