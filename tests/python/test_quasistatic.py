@@ -187,7 +187,7 @@ def test_cheaper_qualities_are_cheaper_and_near(quality: str) -> None:
             results.append(layer.solve(reference))
             work[layer] += layer.last_solve.linear_iterations
         assert np.abs(results[1] - results[0]).max() < (0.02 if quality == "preview" else 0.001)
-    assert work[cheap] < 0.7 * work[exact]
+    assert work[cheap] < 0.8 * work[exact]
 
 
 @pytest.mark.parametrize("pose", list(mistreated(bar(1, 1, 1)[0])))

@@ -20,8 +20,10 @@ constexpr double smallest_move = 1e-11;
 // Armijo's constant: share of the predicted decrease that a step must bring.
 constexpr double sufficient_decrease = 1e-4;
 constexpr int most_halvings = 12;
-// An iteration that leaves less than this share of the residual is near the end.
+// An iteration that leaves less than this share of the residual is near the end; so many are far from it at most: the convex
+// tangent converges, but slowly where stresses are large.
 constexpr double near_gain = 0.2;
+constexpr int most_far_iterations = 3;
 // What a factorization takes for each multiplication and each vertex, and an iteration for each number of the factor.
 constexpr double multiplication_nanoseconds = 0.04, row_nanoseconds = 900, solve_nanoseconds = 0.4;
 
@@ -233,7 +235,7 @@ Positions ImplicitEuler::Step::solve() {
     }
     if (!advanced) break;
     const double gain = trial.size / before;
-    near = gain < near_gain;
+    near = gain < near_gain || report.iterations >= most_far_iterations;
     // As exact as Newton's method will converge, but no better than the step needs.
     linear_tolerance = std::clamp(0.5 * gain * gain, 1e-6, 0.1);
     linear_tolerance = std::max(linear_tolerance, std::min(0.3 * p_.newton.tolerance / trial.relative, 0.1));

@@ -20,8 +20,9 @@ struct NewtonSettings {
   /// Iterations of conjugate gradients within one of Newton's.
   int most_linear_iterations = 2000;
 
+  /// What each costs and how far it is from converged: docs/performance.md.
   static NewtonSettings converged() { return {}; }
-  static NewtonSettings fine() { return {1e-2, 12, 500}; }
+  static NewtonSettings fine() { return {1e-2, 30, 500}; }
   static NewtonSettings preview() { return {1e-2, 3, 30}; }
 };
 
