@@ -151,7 +151,6 @@ METHODS: tuple[Method, ...] = (
         "quasistatic/springs",
         "springs that follow the static equilibria",
         _over_quasistatic(True),
-        _equilibrium_work,
     ),
     *(_elastic(quality, "invertible-stvk") for quality in QUALITIES),
     *(_elastic(quality, "corotational") for quality in QUALITIES[:-1]),  # converged has the same error
