@@ -114,7 +114,7 @@ class OffsetSearch:
         self._offsets = frame.offsets
         return frame.found()
 
-    def _solve(self, frame: _Frame, method: _VertexByVertex | _AllTogether) -> None:
+    def _solve(self, frame: _Frame, method: _Method) -> None:
         fresh = self._jacobians is None
         method.use(self._measure(frame) if self._jacobians is None else self._jacobians)
         if not fresh and method.largest_unreachable > self._tolerance:
@@ -212,21 +212,17 @@ class _Frame:
         return FoundOffsets(self.offsets, self.missing(), self.evaluations)
 
 
-class _VertexByVertex:
-    """Steps where a vertex is deformed by itself."""
+class _Method:
+    """A way to step towards what a frame's displacements can reach."""
 
-    def __init__(self, frame: _Frame, minimum_stretch: float, shortest_secant: float) -> None:
+    def __init__(self, frame: _Frame, minimum_stretch: float) -> None:
         self._frame = frame
         self._minimum_stretch = minimum_stretch
-        self._shortest_secant = shortest_secant
 
     def use(self, jacobians: FloatArray) -> None:
         """Go on with these Jacobians."""
-        self.jacobians = jacobians.copy()
-        _, self._unreachable = skinning.invert_displacements(
-            jacobians, self._frame.displacements, self._minimum_stretch
-        )
-        self._shares = np.ones(len(jacobians))
+        self.jacobians = jacobians
+        _, self._unreachable = self._invert(self._frame.displacements)
 
     @property
     def largest_unreachable(self) -> float:
@@ -236,14 +232,35 @@ class _VertexByVertex:
     @property
     def distance(self) -> float:
         """Of the vertex that is farthest from what can be reached."""
-        return _longest(self._frame.missing() - self._unreachable)
+        return self._distance_of(self._frame.missing())
+
+    def step(self) -> None:
+        """Evaluate once, and keep what is better."""
+        raise NotImplementedError
+
+    def _distance_of(self, missing: FloatArray) -> float:
+        return _longest(missing - self._unreachable)
+
+    def _invert(self, displacements: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return skinning.invert_displacements(self.jacobians, displacements, self._minimum_stretch)
+
+
+class _VertexByVertex(_Method):
+    """Steps where a vertex is deformed by itself."""
+
+    def __init__(self, frame: _Frame, minimum_stretch: float, shortest_secant: float) -> None:
+        super().__init__(frame, minimum_stretch)
+        self._shortest_secant = shortest_secant
+
+    def use(self, jacobians: FloatArray) -> None:
+        """Go on with these Jacobians."""
+        super().use(jacobians.copy())
+        self._shares = np.ones(len(jacobians))
 
     def step(self) -> None:
         """Step where it brings a vertex nearer, and learn from it everywhere."""
         frame = self._frame
-        steps, _ = skinning.invert_displacements(
-            self.jacobians, frame.missing() - self._unreachable, self._minimum_stretch
-        )
+        steps, _ = self._invert(frame.missing() - self._unreachable)
         steps *= self._shares[:, None]
         offsets = frame.offsets + steps
         deformed = frame.evaluate(offsets)
@@ -260,42 +277,23 @@ class _VertexByVertex:
         self.jacobians += wrong[:, :, None] * scaled[:, None, :]
 
 
-class _AllTogether:
+class _AllTogether(_Method):
     """Steps where vertices pull at each other: the Jacobians tell only how they move as one."""
-
-    def __init__(self, frame: _Frame, minimum_stretch: float) -> None:
-        self._frame = frame
-        self._minimum_stretch = minimum_stretch
 
     def use(self, jacobians: FloatArray) -> None:
         """Go on with these Jacobians."""
-        self.jacobians = jacobians
-        _, self._unreachable = skinning.invert_displacements(
-            jacobians, self._frame.displacements, self._minimum_stretch
-        )
+        super().use(jacobians)
         self._trial = (self._frame.offsets, self._frame.deformed)
         self._history: list[tuple[FloatArray, FloatArray]] = []
-
-    @property
-    def largest_unreachable(self) -> float:
-        """Longest part of a displacement that the Jacobians say no bounded offset can show."""
-        return _longest(self._unreachable)
-
-    @property
-    def distance(self) -> float:
-        """Of the vertex that is farthest from what can be reached."""
-        return _longest(self._frame.missing() - self._unreachable)
 
     def step(self) -> None:
         """Take Anderson's step, and keep it as the best where it is."""
         offsets, deformed = self._trial
-        steps, _ = skinning.invert_displacements(
-            self.jacobians, self._frame.missing(deformed) - self._unreachable, self._minimum_stretch
-        )
+        steps, _ = self._invert(self._frame.missing(deformed) - self._unreachable)
         self._history = [*self._history[-DEPTH:], (offsets, steps)]
         offsets = offsets + steps - self._correction()
         deformed = self._frame.evaluate(offsets)
-        distance = _longest(self._frame.missing(deformed) - self._unreachable)
+        distance = self._distance_of(self._frame.missing(deformed))
         if distance < self.distance:
             self._frame.take(offsets, deformed)
         elif distance > 2.0 * self.distance:
