@@ -7,7 +7,7 @@ from bpy.types import Operator
 from followthrough.blender import baked_range, clear
 
 from ..characters import selected_characters
-from .session import running
+from .session import idle
 
 
 class FOLLOWTHROUGH_OT_clear(Operator):
@@ -21,8 +21,7 @@ class FOLLOWTHROUGH_OT_clear(Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if running() is not None:
-            cls.poll_message_set("A bake is under way")
+        if not idle(cls):
             return False
         if not any(baked_range(obj) for obj in selected_characters(context)):
             cls.poll_message_set("Nothing is baked")

@@ -10,7 +10,7 @@ from followthrough.blender import BakeReport, why_not_bakeable
 
 from ..characters import selected_characters
 from ..properties.bake_settings import frame_range, object_settings
-from .session import BakeSession, running
+from .session import BakeSession, idle, running
 
 #: Seconds that are baked before the window may be drawn again: usually, and at most where drawing takes long.
 TIME_SLICE = 0.1
@@ -36,8 +36,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if running() is not None:
-            cls.poll_message_set("A bake is under way")
+        if not idle(cls):
             return False
         characters = selected_characters(context)
         if not characters:

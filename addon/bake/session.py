@@ -19,6 +19,14 @@ def running() -> "BakeSession | None":
     return _running
 
 
+def idle(operator: type[bpy.types.Operator]) -> bool:
+    """For an operator's poll: whether no bake is under way; where one is, the button's tooltip says so."""
+    if running() is not None:
+        operator.poll_message_set("A bake is under way")
+        return False
+    return True
+
+
 def stop() -> None:
     """Cancel the bake under way; everything is as it was before it."""
     if _running is not None:

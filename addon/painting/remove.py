@@ -6,7 +6,7 @@ from bpy.types import Operator
 
 from followthrough.blender import clear, remove_groups
 
-from ..bake.session import running
+from ..bake.session import idle
 from ..characters import selected_characters
 
 
@@ -21,8 +21,7 @@ class FOLLOWTHROUGH_OT_remove(Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if running() is not None:
-            cls.poll_message_set("A bake is under way")
+        if not idle(cls):
             return False
         if not selected_characters(context):
             cls.poll_message_set("The active object has no Followthrough")
