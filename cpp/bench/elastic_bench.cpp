@@ -10,6 +10,7 @@
 #include "dancer.hpp"
 #include "elastic/block_matrix.hpp"
 #include "elastic/sparse_cholesky.hpp"
+#include "followthrough/elastic/backward_euler_force.hpp"
 #include "followthrough/elastic/implicit_euler.hpp"
 #include "plain_newton.hpp"
 
@@ -152,6 +153,20 @@ void elastic_forces(benchmark::State& state) {
   state.SetItemsProcessed(static_cast<std::int64_t>(state.iterations()) * s.body.tet_count());
 }
 
+// Microseconds a vertex of the processor's time, mass included.
+void backward_euler_force(benchmark::State& state, BackwardEulerForce::Precision precision) {
+  const Scene s = scene(state);
+  const Positions bent = s.dancer.rest + 0.01 * Positions::Random(s.dancer.rest.rows(), 3);
+  BackwardEulerForce force(s.body, Dancer::dt, precision);
+  Positions result(bent.rows(), 3);
+  for (auto _ : state) {
+    force.evaluate(bent, s.dancer.rest, result);
+    benchmark::DoNotOptimize(result.data());
+  }
+  state.counters["s_per_vertex"] = benchmark::Counter(static_cast<double>(state.iterations()) * static_cast<double>(bent.rows()),
+                                                      benchmark::Counter::kIsRate | benchmark::Counter::kInvert);
+}
+
 struct Assembled {
   Scene scene;
   Positions bent;
@@ -227,6 +242,11 @@ void parts(benchmark::internal::Benchmark* bench) {
   bench->ArgNames({"edge", "modulus"})->Args({185, 50000})->Args({100, 50000})->Unit(benchmark::kMicrosecond)->UseRealTime();
 }
 BENCHMARK(elastic_forces)->Apply(parts);
+void cpu_parts(benchmark::internal::Benchmark* bench) {
+  bench->ArgNames({"edge", "modulus"})->Args({185, 50000})->Args({100, 50000})->Unit(benchmark::kMicrosecond);
+}
+BENCHMARK_CAPTURE(backward_euler_force, double, BackwardEulerForce::Precision::kDouble)->Apply(cpu_parts);
+BENCHMARK_CAPTURE(backward_euler_force, single, BackwardEulerForce::Precision::kSingle)->Apply(cpu_parts);
 BENCHMARK_CAPTURE(elastic_stiffness, exact, Definiteness::kSymmetric)->Apply(parts);
 BENCHMARK_CAPTURE(elastic_stiffness, convex, Definiteness::kConvex)->Apply(parts);
 BENCHMARK_CAPTURE(elastic_stiffness, semidefinite, Definiteness::kSemidefinite)->Apply(parts);

@@ -12,7 +12,6 @@
 #include "elastic/element_colors.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
-#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -22,7 +21,7 @@ using Eigen::Vector3d;
 using Corners = Eigen::Matrix<double, 3, 4>;  // a column each
 
 // What a tet takes on one core.
-constexpr double force_nanoseconds = 60, stiffness_nanoseconds = 400, mass_nanoseconds = 30;
+constexpr double force_nanoseconds = 20, stiffness_nanoseconds = 200, mass_nanoseconds = 5;
 // The same for materials and elements without a closed form.
 constexpr double decomposed_nanoseconds = 1500;
 
@@ -53,7 +52,8 @@ void require_constants(const ElasticConstants& constants, Eigen::Index count) {
 }
 
 struct Kernels {
-  decltype(&baseline::batch_forces) forces;
+  std::uint64_t (*forces)(const BatchConstants*, const ElementRun&, const double*, double, double, double*, double*) noexcept;
+  void (*mass)(const double*, const ElementRun&, const double*, double*) noexcept;
   decltype(&baseline::batch_stiffness) stiffness;
 };
 
@@ -61,14 +61,14 @@ Kernels kernels() {
   switch (instruction_set()) {
 #ifdef FOLLOWTHROUGH_HAS_avx512
     case InstructionSet::avx512:
-      return {avx512::batch_forces, avx512::batch_stiffness};
+      return {avx512::cluster_forces, avx512::cluster_mass, avx512::batch_stiffness};
 #endif
 #ifdef FOLLOWTHROUGH_HAS_avx2
     case InstructionSet::avx2:
-      return {avx2::batch_forces, avx2::batch_stiffness};
+      return {avx2::cluster_forces, avx2::cluster_mass, avx2::batch_stiffness};
 #endif
     default:
-      return {baseline::batch_forces, baseline::batch_stiffness};
+      return {baseline::cluster_forces, baseline::cluster_mass, baseline::batch_stiffness};
   }
 }
 
@@ -76,6 +76,18 @@ bool has_closed_form(const Material& material) { return dynamic_cast<const Inver
 
 std::vector<BatchConstants> empty_batches(std::size_t tets) {
   return std::vector<BatchConstants>((tets + batch_lanes - 1) / batch_lanes, BatchConstants{});
+}
+
+PaddedPositions padded(ConstPositions positions) {
+  PaddedPositions all(static_cast<std::size_t>(positions.rows()));
+  for (std::size_t v = 0; v < all.size(); ++v) all[v] = {positions(v, 0), positions(v, 1), positions(v, 2), 0};
+  return all;
+}
+
+Positions unpadded(const PaddedPositions& all) {
+  Positions positions(all.size(), 3);
+  for (std::size_t v = 0; v < all.size(); ++v) positions.row(static_cast<Eigen::Index>(v)) << all[v].x, all[v].y, all[v].z;
+  return positions;
 }
 
 Corners corner_gradients(const Matrix3d& gradients) {
@@ -152,6 +164,8 @@ void ElasticBody::arrange() {
     batch.compression_resistance[lane] = element.constants.compression_resistance;
     batch.volume[lane] = element.volume;
   }
+  masses_.clear();
+  for (const Element& element : elements_) masses_.push_back(element.mass);
   ElementColors colors = color_elements(corners_, vertex_count_);
   color_starts_ = std::move(colors.starts);
   clusters_ = std::move(colors.clusters);
@@ -174,24 +188,18 @@ Vector ElasticBody::rest_stiffness() const {
   return stiffness;
 }
 
-// Calls work(batch, first tet, one after its last) for all batches; those at work at a time share no vertex. Threads meet after
-// every colour, so it is a colour that must be worth them.
+template <typename Work>
+void ElasticBody::for_clusters(double tet_nanoseconds, const Work& work) const {
+  followthrough::for_clusters(color_starts_, clusters_, elements_.size(), tet_nanoseconds, work);
+}
+
 template <typename Work>
 void ElasticBody::for_batches(double tet_nanoseconds, const Work& work) const {
-  constexpr std::size_t batches_a_cluster = cluster_size / batch_lanes;
-  const auto colors = static_cast<Eigen::Index>(color_starts_.size() - 1);
-  const int threads = worthwhile_threads(tet_count() / colors, tet_nanoseconds);
-#pragma omp parallel num_threads(threads)
-  for (std::size_t color = 0; color + 1 < color_starts_.size(); ++color) {
-#pragma omp for schedule(static)
-    for (Index k = color_starts_[color]; k < color_starts_[color + 1]; ++k) {
-      const std::size_t first = batches_a_cluster * static_cast<std::size_t>(clusters_[k]);
-      const std::size_t last = std::min(first + batches_a_cluster, batches_.size());
-      for (std::size_t batch = first; batch < last; ++batch) {
-        work(batch, batch * batch_lanes, std::min((batch + 1) * batch_lanes, elements_.size()));
-      }
+  for_clusters(tet_nanoseconds, [&](std::size_t, std::size_t first, std::size_t last) {
+    for (std::size_t tet = first; tet < last; tet += batch_lanes) {
+      work(tet / batch_lanes, tet, std::min(tet + batch_lanes, last));
     }
-  }
+  });
 }
 
 template <typename Work>
@@ -224,52 +232,63 @@ double ElasticBody::energy(ConstPositions positions, const Material& material) c
   return energy;
 }
 
-// Any element of any material.
-void ElasticBody::add_force(std::size_t tet, ConstPositions positions, const Material& material, Positions& forces,
-                            double* energy) const {
+// Any element of any material. Returns its energy.
+template <typename Real>
+double ElasticBody::add_force(std::size_t tet, const PaddedPositions& positions, const Material& material, double scale,
+                              std::vector<Padded<Real>>& forces) const {
   const Element& element = elements_[tet];
-  const SignedSvd svd = signed_svd(deformation_gradient(tet, positions));
+  const auto at = [&](int corner) {
+    const Padded<double>& p = positions[corners_[tet][corner]];
+    return Vector3d(p.x, p.y, p.z);
+  };
+  Matrix3d edges;
+  for (int k = 0; k < 3; ++k) edges.col(k) = at(k + 1) - at(0);
+  const SignedSvd svd = signed_svd(edges * element.gradients);
   const PrincipalResponse response = material.respond(svd.stretches, element.constants);
-  if (energy) *energy = element.volume * response.energy_density;
-  const Matrix3d stress = svd.u * (element.volume * response.stress).asDiagonal() * svd.v.transpose();
+  const Matrix3d stress = svd.u * (scale * element.volume * response.stress).asDiagonal() * svd.v.transpose();
   const Corners at_corners = stress * corner_gradients(element.gradients);
-  for (int a = 0; a < 4; ++a) forces.row(corners_[tet][a]) += at_corners.col(a).transpose();
+  for (int a = 0; a < 4; ++a) {
+    Padded<Real>& force = forces[corners_[tet][a]];
+    force.x += static_cast<Real>(at_corners(0, a));
+    force.y += static_cast<Real>(at_corners(1, a));
+    force.z += static_cast<Real>(at_corners(2, a));
+  }
+  return element.volume * response.energy_density;
+}
+template double ElasticBody::add_force(std::size_t, const PaddedPositions&, const Material&, double, PaddedPositions&) const;
+template double ElasticBody::add_force(std::size_t, const PaddedPositions&, const Material&, double,
+                                       std::vector<Padded<float>>&) const;
+
+void ElasticBody::add_internal_forces(const PaddedPositions& positions, const Material& material, double scale,
+                                      PaddedPositions& forces, double* energy) const {
+  require_rows("positions", static_cast<Eigen::Index>(positions.size()), vertex_count_);
+  require_rows("forces", static_cast<Eigen::Index>(forces.size()), vertex_count_);
+  Vector energies = Vector::Zero(energy ? static_cast<Eigen::Index>(clusters_.size()) : 0);
+  const auto cluster_forces = kernels().forces;
+  const bool closed_form = has_closed_form(material);
+  for_clusters(closed_form ? force_nanoseconds : decomposed_nanoseconds,
+               [&](std::size_t cluster, std::size_t first, std::size_t last) {
+                 const auto count = static_cast<int>(last - first);
+                 double* const sum = energy ? &energies[static_cast<Eigen::Index>(cluster)] : nullptr;
+                 std::uint64_t others = ~std::uint64_t(0);
+                 if (closed_form) {
+                   others = cluster_forces(&batches_[first / batch_lanes], {corners_[first].data(), count}, &positions.front().x,
+                                           scale, InvertibleStVK::smallest_stretch, &forces.front().x, sum);
+                 }
+                 for (int k = 0; k < count && others >> k != 0; ++k) {
+                   if ((others >> k & 1) == 0) continue;
+                   const double own = add_force(first + static_cast<std::size_t>(k), positions, material, scale, forces);
+                   if (sum) *sum += own;
+                 }
+               });
+  if (energy) *energy = energies.sum();
 }
 
 Positions ElasticBody::internal_forces(ConstPositions positions, const Material& material, double* energy) const {
   require_rows("positions", positions.rows(), vertex_count_);
-  Positions forces = Positions::Zero(vertex_count_, 3);
-  Vector energies = Vector::Zero(tet_count());
-  const auto batch_forces = kernels().forces;
-  const bool closed_form = has_closed_form(material);
-  for_batches(closed_form ? force_nanoseconds : decomposed_nanoseconds,
-              [&](std::size_t index, std::size_t first, std::size_t last) {
-                ElementBatch batch;
-                if (closed_form) {
-                  load_edges(index, positions, batch);
-                  batch_forces(batches_[index], batch, InvertibleStVK::smallest_stretch);
-                }
-                for (std::size_t tet = first; tet < last; ++tet) {
-                  double& tet_energy = energies[static_cast<Eigen::Index>(tet)];
-                  const std::size_t lane = tet - first;
-                  if (!closed_form || batch.inside[lane] == 0) {
-                    add_force(tet, positions, material, forces, &tet_energy);
-                    continue;
-                  }
-                  tet_energy = batch.energy[lane];
-                  const std::array<Index, 4>& v = corners_[tet];
-                  for (int axis = 0; axis < 3; ++axis) {
-                    const double* f = &batch.forces[3 * axis][lane];
-                    const double f1 = f[0], f2 = f[batch_lanes], f3 = f[2 * batch_lanes];
-                    forces(v[0], axis) -= f1 + f2 + f3;
-                    forces(v[1], axis) += f1;
-                    forces(v[2], axis) += f2;
-                    forces(v[3], axis) += f3;
-                  }
-                }
-              });
-  if (energy) *energy = energies.sum();
-  return forces;
+  PaddedPositions forces(static_cast<std::size_t>(vertex_count_));
+  add_internal_forces(padded(positions), material, 1, forces, energy);
+  return unpadded(forces);
 }
 
 Positions ElasticBody::stiffness_product(ConstPositions positions, ConstPositions change, const Material& material,
@@ -288,15 +307,20 @@ Positions ElasticBody::stiffness_product(ConstPositions positions, ConstPosition
   return forces;
 }
 
+void ElasticBody::add_mass_product(const PaddedPositions& values, PaddedPositions& products) const {
+  require_rows("values", static_cast<Eigen::Index>(values.size()), vertex_count_);
+  require_rows("products", static_cast<Eigen::Index>(products.size()), vertex_count_);
+  const auto cluster_mass = kernels().mass;
+  for_clusters(mass_nanoseconds, [&](std::size_t, std::size_t first, std::size_t last) {
+    cluster_mass(&masses_[first], {corners_[first].data(), static_cast<int>(last - first)}, &values.front().x, &products.front().x);
+  });
+}
+
 Positions ElasticBody::mass_product(ConstPositions values) const {
   require_rows("values", values.rows(), vertex_count_);
-  Positions product = Positions::Zero(vertex_count_, 3);
-  for_tets(mass_nanoseconds, [&](std::size_t tet) {
-    const std::array<Index, 4>& v = corners_[tet];
-    const Eigen::RowVector3d sum = values.row(v[0]) + values.row(v[1]) + values.row(v[2]) + values.row(v[3]);
-    for (const Index corner : v) product.row(corner) += elements_[tet].mass * (sum + values.row(corner));
-  });
-  return product;
+  PaddedPositions products(static_cast<std::size_t>(vertex_count_));
+  add_mass_product(padded(values), products);
+  return unpadded(products);
 }
 
 // Any element of any material.

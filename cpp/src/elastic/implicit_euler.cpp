@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <optional>
 #include <string>
 
@@ -34,13 +33,22 @@ void require_number(const char* name, double value, bool zero_allowed) {
   }
 }
 
+// Room for an evaluation, so that none allocates.
+struct Evaluation {
+  explicit Evaluation(Eigen::Index count)
+      : positions(static_cast<std::size_t>(count)), away(positions), elastic(positions), inertia(positions) {}
+  PaddedPositions positions, away, elastic, inertia;
+};
+
+Eigen::RowVector3d row_of(const PaddedPositions& all, Index v) { return {all[v].x, all[v].y, all[v].z}; }
+
 // Positions that a step tries, with all that is known there.
 struct Trial {
   Positions positions;
-  double energy = std::numeric_limits<double>::infinity();  // incremental potential, J s^2
-  Vector residual;                                          // its gradient at the free vertices, kg m
-  double size = 0;                                          // of the residual, weighted by 1 / mass
-  double relative = 0;                                      // of the residual, against its parts
+  double energy = 0;    // incremental potential, J s^2
+  Vector residual;      // its gradient at the free vertices, kg m
+  double size = 0;      // of the residual, weighted by 1 / mass
+  double relative = 0;  // of the residual, against its parts
 
   bool finite() const { return std::isfinite(energy) && std::isfinite(size) && std::isfinite(relative); }
 };
@@ -57,6 +65,7 @@ struct ImplicitEuler::Parts {
   BlockMatrix matrix, constant, damping;  // constant: mass, its damping, and pins
   SparseCholesky factor;
   BlockPreconditioner fallback;
+  Evaluation evaluation;
   Positions positions, before, reference;
   std::int64_t frames = -1;  // since the reset; -1: never reset
   StepReport report;
@@ -98,41 +107,64 @@ class ImplicitEuler::Step {
 Trial ImplicitEuler::Step::evaluate(Positions positions) const {
   Trial trial;
   const double square = p_.dt * p_.dt;
-  double elastic_energy = 0;
-  const Positions elastic = p_.body.internal_forces(positions, *p_.material, &elastic_energy);
-  const Positions away = positions - inertial_;
-  const Positions inertia = p_.body.mass_product(away);
-  trial.energy = 0.5 * away.cwiseProduct(inertia).sum() + square * elastic_energy;
-  Positions rest = Positions::Zero(positions.rows(), 3);  // all other forces
-  const Positions moved = positions - p_.positions;
-  if (p_.forces.mass_damping > 0) rest += p_.dt * p_.forces.mass_damping * p_.body.mass_product(moved);
-  if (p_.forces.stiffness_damping > 0) {
-    rest += p_.dt * p_.forces.stiffness_damping *
-            p_.body.stiffness_product(p_.positions, moved, *p_.material, Definiteness::kSemidefinite);
+  Evaluation& at = p_.evaluation;
+  for (std::size_t v = 0; v < at.positions.size(); ++v) {
+    const auto row = static_cast<Eigen::Index>(v);
+    const Eigen::RowVector3d away = positions.row(row) - inertial_.row(row);
+    at.positions[v] = {positions(row, 0), positions(row, 1), positions(row, 2), 0};
+    at.away[v] = {away.x(), away.y(), away.z(), 0};
+    at.elastic[v] = {};
+    at.inertia[v] = {};
   }
-  trial.energy += 0.5 * moved.cwiseProduct(rest).sum();
+  double elastic_energy = 0;
+  p_.body.add_internal_forces(at.positions, *p_.material, square, at.elastic, &elastic_energy);
+  p_.body.add_mass_product(at.away, at.inertia);
+  for (std::size_t v = 0; v < at.away.size(); ++v) {
+    const Padded<double>&away = at.away[v], &inertia = at.inertia[v];
+    trial.energy += 0.5 * (away.x * inertia.x + away.y * inertia.y + away.z * inertia.z);
+  }
+  trial.energy += square * elastic_energy;
+  Positions rest;  // all other forces; none, mostly
+  const auto others = [&]() -> Positions& {
+    if (rest.rows() == 0) rest.setZero(positions.rows(), 3);
+    return rest;
+  };
+  if (p_.forces.mass_damping > 0 || p_.forces.stiffness_damping > 0) {
+    const Positions moved = positions - p_.positions;
+    if (p_.forces.mass_damping > 0) others() += p_.dt * p_.forces.mass_damping * p_.body.mass_product(moved);
+    if (p_.forces.stiffness_damping > 0) {
+      others() += p_.dt * p_.forces.stiffness_damping *
+                  p_.body.stiffness_product(p_.positions, moved, *p_.material, Definiteness::kSemidefinite);
+    }
+    trial.energy += 0.5 * moved.cwiseProduct(rest).sum();
+  }
   if (p_.forces.pin_stiffness.size() > 0) {
     const Positions lag = positions - reference_;
     const Positions pull = square * (p_.forces.pin_stiffness.asDiagonal() * lag);
     trial.energy += 0.5 * lag.cwiseProduct(pull).sum();
-    rest += pull;
+    others() += pull;
   }
   const auto rows = static_cast<Eigen::Index>(p_.free.size());
   trial.residual.resize(3 * rows);
   double inertia_size = 0, elastic_size = 0, rest_size = 0, floor = 0;
   for (Eigen::Index row = 0; row < rows; ++row) {
     const Index v = p_.free[row];
-    trial.residual.segment<3>(3 * row) = (inertia.row(v) + square * elastic.row(v) + rest.row(v)).transpose();
+    const Eigen::RowVector3d inertia = row_of(at.inertia, v), elastic = row_of(at.elastic, v);
+    Eigen::RowVector3d force = inertia + elastic;
+    if (rest.rows() > 0) {
+      force += rest.row(v);
+      rest_size += rest.row(v).squaredNorm();
+    }
+    trial.residual.segment<3>(3 * row) = force.transpose();
     const double mass = p_.body.lumped_mass()[v];
-    trial.size += trial.residual.segment<3>(3 * row).squaredNorm() / mass;
-    inertia_size += inertia.row(v).squaredNorm();
-    elastic_size += elastic.row(v).squaredNorm();
-    rest_size += rest.row(v).squaredNorm();
+    trial.size += force.squaredNorm() / mass;
+    inertia_size += inertia.squaredNorm();
+    elastic_size += elastic.squaredNorm();
     floor += mass * mass;
   }
   trial.size = std::sqrt(trial.size);
   const double edge = p_.body.edge_length();
-  const double parts = std::sqrt(inertia_size) + square * std::sqrt(elastic_size) + std::sqrt(rest_size);
+  const double parts = std::sqrt(inertia_size) + std::sqrt(elastic_size) + std::sqrt(rest_size);
   // Converged is a residual below tolerance * parts, or one that is round-off.
   trial.relative = trial.residual.norm() / std::max(parts, std::sqrt(floor) * edge * smallest_move / p_.newton.tolerance);
   trial.positions = std::move(positions);
@@ -286,6 +318,7 @@ ImplicitEuler::ImplicitEuler(const ElasticBody& body, std::shared_ptr<const Mate
                                          empty,
                                          SparseCholesky(empty),
                                          {},
+                                         Evaluation(count),
                                          {},
                                          {},
                                          {},

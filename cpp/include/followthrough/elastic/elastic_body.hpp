@@ -16,6 +16,13 @@ class BlockMatrix;
 struct BatchConstants;
 struct ElementBatch;
 
+/// A vertex's three numbers, so that vector registers can take them at once; the fourth one is 0 and means nothing.
+template <typename Real>
+struct alignas(4 * sizeof(Real)) Padded {
+  Real x = 0, y = 0, z = 0, none = 0;
+};
+using PaddedPositions = std::vector<Padded<double>>;
+
 /// What a tet mesh is made of. Values at vertices; a tet has the mean of its four vertices'.
 struct ElasticConstants {
   Vector youngs_modulus;                ///< (n,) Pa, more than 0
@@ -61,6 +68,18 @@ class ElasticBody {
   /// @return (n,3) N
   Positions internal_forces(ConstPositions positions, const Material& material, double* energy = nullptr) const;
 
+  /// @brief The same without an allocation where no energy is asked for: adds scale times the internal forces.
+  /// @param positions (n,) m, finite
+  /// @param forces (n,) N times scale
+  /// @throws InvalidInput on a wrong shape
+  void add_internal_forces(const PaddedPositions& positions, const Material& material, double scale, PaddedPositions& forces,
+                           double* energy = nullptr) const;
+
+  /// @brief Adds the consistent mass matrix times values, without an allocation.
+  /// @param values, products (n,)
+  /// @throws InvalidInput on a wrong shape
+  void add_mass_product(const PaddedPositions& values, PaddedPositions& products) const;
+
   /// @return (n,3): change of the internal forces for a small change of the positions, N
   Positions stiffness_product(ConstPositions positions, ConstPositions change, const Material& material,
                               Definiteness definiteness = Definiteness::kExact) const;
@@ -85,9 +104,14 @@ class ElasticBody {
 
   void arrange();
   Eigen::Matrix3d deformation_gradient(std::size_t tet, ConstPositions positions) const;
-  void add_force(std::size_t tet, ConstPositions positions, const Material& material, Positions& forces, double* energy) const;
+  friend class BackwardEulerForce;
+  template <typename Real>
+  double add_force(std::size_t tet, const PaddedPositions& positions, const Material& material, double scale,
+                   std::vector<Padded<Real>>& forces) const;
   void add_stiffness(std::size_t tet, ConstPositions positions, const Material& material, Definiteness definiteness, double scale,
                      BlockMatrix& matrix) const;
+  template <typename Work>
+  void for_clusters(double tet_nanoseconds, const Work& work) const;
   template <typename Work>
   void for_batches(double tet_nanoseconds, const Work& work) const;
   template <typename Work>
@@ -101,6 +125,7 @@ class ElasticBody {
   std::vector<std::array<Index, 4>> corners_;
   std::vector<Element> elements_;
   std::vector<BatchConstants> batches_;         // the same as elements_, for the closed form
+  std::vector<double> masses_;                  // the same as elements_
   std::vector<Index> color_starts_, clusters_;  // clusters by colour; no two of a colour share a vertex
 };
 
