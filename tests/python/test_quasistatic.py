@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from bad_positions import bad_positions
 from elastic_scenes import DT, Array, bar, random_rotation
 from numpy.typing import NDArray
 from plain_elastic import PlainBody
@@ -278,7 +279,7 @@ def test_bad_input_is_refused_by_name() -> None:
             Quasistatic(body, **({"constrained": held} | arguments))  # type: ignore[arg-type]
     layer = Quasistatic(body, held)
     known = layer.solve(rest * [1.1, 1, 1])
-    for wrong in (rest[:-1], rest[:, :2], np.full_like(rest, np.nan)):
+    for wrong in bad_positions(rest):
         with pytest.raises(ValueError, match="reference"):
             layer.solve(wrong)
     np.testing.assert_allclose(layer.solve(rest * [1.1, 1, 1]), known, atol=1e-10)
