@@ -231,7 +231,7 @@ class FollowthroughSettings(PropertyGroup):
         name="Quality",
         description="How exactly every frame is solved",
         items=(
-            ("preview", "Preview", "Fast, and visibly off where flesh is soft and moves fast"),
+            ("preview", "Preview", "Fast, and slightly off where soft flesh turns very fast"),
             ("fine", "Fine", "As good as the eye can tell"),
             ("converged", "Converged", "Exact, several times slower"),
         ),

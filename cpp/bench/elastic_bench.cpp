@@ -4,8 +4,8 @@
 #include <benchmark/benchmark.h>
 #include <sys/resource.h>
 
-#include <chrono>
 #include <cmath>
+#include <ctime>
 
 #include "dancer.hpp"
 #include "elastic/block_matrix.hpp"
@@ -38,7 +38,8 @@ ImplicitEuler solver(const Scene& s, const NewtonSettings& newton) {
   return ImplicitEuler(s.body, std::make_shared<InvertibleStVK>(), s.dancer.constrained, Dancer::dt, newton);
 }
 
-double seconds() { return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
+// The processor's time, of all threads: other work on the machine does not count.
+double seconds() { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; }
 
 // Root mean square distance a vertex, m.
 double distance(const Positions& a, const Positions& b) { return (a - b).norm() / std::sqrt(static_cast<double>(a.rows())); }
@@ -219,7 +220,7 @@ void factor_solve(benchmark::State& state) {
 BENCHMARK(against_plain_eigen)
     ->ArgNames({"edge", "modulus", "tight", "frames"})
     ->ArgsProduct({{185}, {50000, 5000000}, {0, 1}, {48}})
-    ->ArgsProduct({{100}, {50000}, {0}, {8}})
+    ->ArgsProduct({{100}, {50000, 5000000}, {0}, {8}})
     ->UseManualTime()
     ->Iterations(1)
     ->Unit(benchmark::kMillisecond);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
 /// What a textbook would do: Newton's method for a backward Euler step with a linear solver of Eigen's. It is given ImplicitEuler's
-/// start, line search, forces and stiffness, so that only the linear algebra differs.
+/// forces and stiffness and a line search by halves, and starts from the mean of where inertia leads and the skinned increment.
 #pragma once
 
 #include <Eigen/IterativeLinearSolvers>

@@ -33,7 +33,7 @@ def check(x: Array, reference: Array, held: NDArray[np.bool_], report: StepRepor
 
 def mistreat_implicit_euler(material: MaterialName, quality: Quality, frames: int, burst: int) -> None:
     """Bursts of violence, each from an inverted start and followed by peace."""
-    tolerance = 1e-9 if quality == "converged" else 1e-2
+    tolerance = {"preview": 5e-2, "fine": 1e-2, "converged": 1e-9}[quality]
     done = seed = 0
     while done < frames:
         seed += 1

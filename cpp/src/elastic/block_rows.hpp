@@ -14,21 +14,9 @@ struct BlockRows {
   const double* blocks;         ///< 9 a block
 };
 
-/// (D + L) D^-1 (D + L)^T over a range of rows that knows nothing of the others.
-struct TriangularRows {
-  const std::int32_t* lower;     ///< (rows,) first block within the range
-  const std::int32_t* diagonal;  ///< (rows,)
-  const std::int32_t* upper;     ///< (rows,) one after the last block within the range
-  const std::int32_t* columns;
-  const float* blocks;             ///< 9 a block
-  const double* inverse_diagonal;  ///< 9 a row and at least one to spare, D^-1
-};
-
 #define FOLLOWTHROUGH_DECLARE_BLOCK_KERNELS(isa)                                                                           \
   namespace isa {                                                                                                          \
   void multiply_rows(const BlockRows& matrix, const double* x, double* y, std::int32_t first, std::int32_t last) noexcept; \
-  void solve_rows(const TriangularRows& factor, double scale, const double* r, double* z, std::int32_t first,              \
-                  std::int32_t last) noexcept;                                                                             \
   }
 FOLLOWTHROUGH_DECLARE_BLOCK_KERNELS(baseline)
 FOLLOWTHROUGH_DECLARE_BLOCK_KERNELS(avx2)

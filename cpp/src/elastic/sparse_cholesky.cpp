@@ -162,8 +162,8 @@ SparseCholesky::SparseCholesky(const BlockMatrix& pattern) : order_(least_fill_o
   for (std::size_t f = 0; f < fronts_.size(); ++f) {
     if (!fronts_[f].rows.empty()) fronts_[front_of[fronts_[f].rows.front()]].children.push_back(static_cast<Index>(f));
   }
-  factor_.resize(numbers + 16);
-  work_space_.resize(largest + 16);
+  numbers_ = numbers + 16;
+  work_numbers_ = largest + 16;
   updates_.resize(fronts_.size());
   local_.resize(count);
   right_.resize(3 * count);
@@ -193,6 +193,8 @@ void SparseCholesky::add_matrix(const BlockMatrix& matrix, const Front& front, f
 
 bool SparseCholesky::compute(const BlockMatrix& matrix) {
   const Kernels kernel = kernels();
+  factor_.resize(numbers_);
+  work_space_.resize(work_numbers_);
   scale_.resize(3 * order_.size());
   for (std::size_t row = 0; row < order_.size(); ++row) {
     const BlockMatrix::Block& block = matrix.blocks()[matrix.diagonal()[row]];

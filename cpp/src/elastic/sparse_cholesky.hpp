@@ -21,7 +21,7 @@ class SparseCholesky final : public Preconditioner {
   void apply(const Vector& r, Vector& z) const override;
 
   /// Numbers of the factor, zeros within its panels included.
-  std::size_t size() const { return factor_.size(); }
+  std::size_t size() const { return numbers_; }
   /// Multiplications of a factorization, roughly.
   double work() const { return work_; }
 
@@ -40,7 +40,8 @@ class SparseCholesky final : public Preconditioner {
 
   std::vector<Index> order_, place_;  // old row of every new one, and back
   std::vector<Front> fronts_;         // children before parents
-  std::vector<float> factor_;
+  std::size_t numbers_ = 0, work_numbers_ = 0;
+  std::vector<float> factor_;      // none before the first factorization: soft bodies do without
   std::size_t factor_offset_ = 0;  // to the first aligned number
   std::vector<double> scale_;      // of the old rows' numbers
   std::vector<Index> local_;       // row of the current front of every new block row

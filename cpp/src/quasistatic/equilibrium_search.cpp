@@ -7,6 +7,8 @@
 #include <random>
 #include <utility>
 
+#include "elastic/descent.hpp"
+
 namespace followthrough {
 namespace {
 
@@ -23,17 +25,6 @@ constexpr double near_the_end = 0.1;
 constexpr double shake = 0.1;
 constexpr double stuck_at_the_end = 1e-6;
 constexpr int most_shakes = 3;
-
-// Positions that the search tries, with all that is known there.
-struct Trial {
-  Positions positions;
-  double energy = std::numeric_limits<double>::infinity();  // J
-  Vector residual;                                          // its gradient at the free vertices, N
-  double size = 0;                                          // of the residual, weighted by 1 / stiffness at rest
-  double relative = 0;                                      // of the residual, against what holds the body
-
-  bool finite() const { return std::isfinite(energy) && std::isfinite(size) && std::isfinite(relative); }
-};
 
 class Search {
  public:
@@ -104,22 +95,14 @@ Trial Search::start(const Positions* carried) const {
 bool Search::advance(Trial& trial, const Vector& direction) const {
   const double slope = trial.residual.dot(direction);
   if (!(slope < 0)) return false;
-  double share = 1;
-  for (int halving = 0; halving <= most_halvings; ++halving, share /= 2) {
-    Positions positions = trial.positions;
-    for (std::size_t row = 0; row < p_.free.size(); ++row) {
-      positions.row(p_.free[row]) += share * direction.segment<3>(3 * static_cast<Eigen::Index>(row)).transpose();
-    }
-    Trial next = evaluate(std::move(positions));
-    if (!next.finite()) continue;
-    const double decrease = sufficient_decrease * share * slope;
-    const double work = 0.5 * share * (slope + next.residual.dot(direction));
-    if (next.energy <= trial.energy + decrease || (work <= decrease && next.size <= (1 - 0.1 * share) * trial.size)) {
-      trial = std::move(next);
-      return true;
-    }
-  }
-  return false;
+  return search_along(
+      trial, direction, p_.free, most_halvings, [&](Positions positions) { return evaluate(std::move(positions)); },
+      [&](const Trial& next, double share) {
+        const double decrease = sufficient_decrease * share * slope;
+        const double work = 0.5 * share * (slope + next.residual.dot(direction));
+        return next.energy <= trial.energy + decrease ||
+               (work <= decrease && next.size <= (1 - 0.1 * std::min(share, 1.0)) * trial.size);
+      });
 }
 
 // One iteration of Newton's method; false where it leads nowhere.
@@ -134,9 +117,9 @@ bool Search::step(Trial& trial, double linear_tolerance, Definiteness definitene
   const bool factored = p_.factor.compute(p_.matrix);
   if (!factored) {
     if (definiteness == Definiteness::kSymmetric) return false;
-    p_.fallback.compute(p_.matrix);
+    p_.diagonal.compute(p_.matrix);
   }
-  const Preconditioner& preconditioner = factored ? static_cast<const Preconditioner&>(p_.factor) : p_.fallback;
+  const Preconditioner& preconditioner = factored ? static_cast<const Preconditioner&>(p_.factor) : p_.diagonal;
   Vector direction;
   const LinearReport linear =
       solve(p_.matrix, preconditioner, -trial.residual, linear_tolerance, p_.settings.most_linear_iterations, direction);

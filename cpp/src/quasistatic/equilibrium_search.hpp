@@ -22,7 +22,7 @@ struct EquilibriumProblem {
   Vector rest_stiffness;          ///< of every row, pins included, N/m
   BlockMatrix pins, matrix;
   SparseCholesky factor;
-  BlockPreconditioner fallback;  ///< where single precision has no factor
+  BlockDiagonal diagonal;  ///< where single precision has no factor
 };
 
 /// @brief The equilibrium for a reference.

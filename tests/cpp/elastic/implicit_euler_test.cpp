@@ -71,7 +71,7 @@ TEST_CASE("conjugate gradients solve to the tolerance and say where a matrix is 
     BlockMatrix matrix(s.body.corners(), rows);
     s.body.add_mass(1.0, matrix);
     s.body.add_stiffness(s.block.vertices, InvertibleStVK(), Definiteness::kSemidefinite, sign * 1e-3, matrix);
-    BlockPreconditioner preconditioner;
+    BlockDiagonal preconditioner;
     preconditioner.compute(matrix);
     Vector x, product(b.size());
     const LinearReport report = solve(matrix, preconditioner, b, 1e-10, 1000, x);

@@ -23,7 +23,7 @@ struct NewtonSettings {
   /// What each costs and how far it is from converged: docs/performance.md.
   static NewtonSettings converged() { return {}; }
   static NewtonSettings fine() { return {1e-2, 30, 500}; }
-  static NewtonSettings preview() { return {1e-2, 3, 30}; }
+  static NewtonSettings preview() { return {5e-2, 6, 60}; }
 };
 
 /// Forces besides elasticity; all off as they come.
