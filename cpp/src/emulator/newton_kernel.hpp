@@ -42,12 +42,12 @@ struct NewtonRows {
   const std::int32_t* share_blocks;    ///< offset in shares of the blocks that a slot adds up
   const std::uint32_t* slot_turned;    ///< (slots,) a bit a lane: the blocks are those of the other way round
   const std::int32_t* border_starts;   ///< (groups + 1,) constrained neighbours
-  const std::int32_t* border_columns;  ///< (border slots, 16)
+  const std::int32_t* border_columns;  ///< (border slots, 16) places in offsets
   const float* border_masses;          ///< (border slots, 16)
   const float* masses;                 ///< (padded,) on the diagonal
   const float* shares;                 ///< of the tets
   const float* gradient_shares;        ///< of the tets
-  std::int32_t offset_stride;          ///< all rows, free and constrained, padded
+  std::int32_t offset_stride;            ///< padded, and the constrained rows
   const float* offsets;                ///< (3, offset_stride) z - y
   float* blocks;                       ///< out: (slots, 9, 16)
   float* diagonal;                     ///< out: (groups, 6, 16) xx yy zz xy xz yz

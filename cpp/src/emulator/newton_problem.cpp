@@ -364,7 +364,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
         const std::int32_t row = group * kNewtonGroup + lane;
         const std::size_t place = frees[size(lane)] + s;
         const bool there = place < near[size(row)].size();
-        border_columns.push_back(there ? near[size(row)][place].row : 0);
+        border_columns.push_back(there ? near[size(row)][place].row + padded - free_count : 0);
         border_mass.push_back(there ? static_cast<float>(near[size(row)][place].mass) : 0.0f);
       }
     }
@@ -381,7 +381,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
 
   // Numbers of the rows.
   const std::size_t vector_size = 3 * size(padded);
-  const std::int32_t offset_stride = std::max(padded, row_count);
+  const std::int32_t offset_stride = padded + row_count - free_count;  // constrained rows come after the padding
   masses = floats(size(padded));
   std::fill_n(masses.data(), padded, 1.0f);
   for (AlignedFloats* array : {&residual, &preconditioned, &directions, &product, &solution, &first, &saved_solution, &steps}) {
@@ -509,7 +509,8 @@ void NewtonProblem::begin(const NewtonHistory& h, double beta) {
       record[kAcceleration + k] = static_cast<float>((u0 - u1) - (u1 - u2));
       record[kReferenceAcceleration + k] = static_cast<float>((x1 - x0) - (x0 - past));
       record[kTail + k] = static_cast<float>(positions[place] - centre[k]);
-      offsets.data()[std::int64_t{k} * row_frame.offset_stride + row] = static_cast<float>(positions[place] - ahead);
+      const std::int64_t column = row < free_count ? row : row + padded - free_count;
+      offsets.data()[k * std::int64_t{row_frame.offset_stride} + column] = static_cast<float>(positions[place] - ahead);
     }
   }
   now = h.now;
