@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from followthrough import cli
+from followthrough import cli, emulator_weights
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights, TrainedOn
 from followthrough.evaluation import evaluate
@@ -209,13 +209,33 @@ def test_rollout_and_evaluate_on_the_command_line(
     assert "outside the 1.25 to 125" in capsys.readouterr().err
 
 
-def test_commands_without_or_with_bad_weights_say_so(
+def test_weights_that_come_with_the_product_are_the_default(
+    sequence: Sequence,
+    weights_file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    given, output, named = tmp_path / "motion.npz", tmp_path / "out.npz", tmp_path / "named.npz"
+    sequence.save(given)
+    monkeypatch.setattr(emulator_weights.resources, "files", lambda package: tmp_path / package)
+    assert cli.main(["rollout", str(given), "-o", str(output)]) == 2
+    assert "emulator.npz, which comes with followthrough: install it again, or name" in capsys.readouterr().err
+    assert not output.exists()
+    shipped = tmp_path / "followthrough" / "weights" / "emulator.npz"
+    shipped.parent.mkdir(parents=True)
+    shipped.write_bytes(weights_file.read_bytes())
+    assert cli.main(["rollout", str(given), "--quiet", "-o", str(output)]) == 0
+    assert cli.main(["rollout", str(given), "--weights", str(weights_file), "--quiet", "-o", str(named)]) == 0
+    np.testing.assert_array_equal(Sequence.load(output).dynamic, Sequence.load(named).dynamic)
+
+
+def test_commands_with_bad_weights_say_so(
     sequence: Sequence, weights_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given, output = tmp_path / "motion.npz", tmp_path / "out.npz"
     sequence.save(given)
     for arguments, message in (
-        (["rollout", given, "-o", output], "--weights: found none"),
         (["evaluate", given, "--solver", "emulator"], "found no dynamic"),
         (["rollout", given, "--weights", given, "-o", output], "found rest_positions, expected only weights"),
         (["rollout", given, "--weights", weights_file, "--edge-length", -1, "-o", output], "edge_length: found -1"),

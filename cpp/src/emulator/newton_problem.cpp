@@ -552,7 +552,7 @@ void NewtonProblem::solve(int iterations) {
   const auto row_blocks = static_cast<std::int32_t>(sums.size());
   const double enough = solver_tolerance * solver_tolerance * residual_square;
   double square = residual_square;
-  const int threads = threads_of(groups, 1000.0 * iterations);
+  const int threads = threads_of(groups, 600.0);
   for (int k = 0; k < iterations && square > enough && square > 0.0; ++k) {
 #pragma omp parallel for schedule(static) num_threads(threads)
     for (std::int32_t block = 0; block < row_blocks; ++block) {

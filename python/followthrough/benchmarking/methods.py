@@ -178,7 +178,7 @@ def emulator(path: Path) -> Method:
     weights = EmulatorWeights.load(path)
     return Method(
         f"emulator/{path.stem}",
-        f"patch network of {weights.parameter_count:,} parameters",
+        f"{weights.network} network of {weights.parameter_count:,} parameters",
         lambda scene: Emulator.of_sequence(scene.sequence, weights, edge_length=scene.edge),
     )
 

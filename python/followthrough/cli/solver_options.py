@@ -99,7 +99,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
     """Those of the emulator alone."""
     emulator = parser.add_argument_group("emulator")
-    emulator.add_argument("--weights", metavar="WEIGHTS.npz", type=Path, help="the network's weights")
+    emulator.add_argument(
+        "--weights",
+        metavar="WEIGHTS.npz",
+        type=Path,
+        help="the network's weights (default: those that come with followthrough)",
+    )
     emulator.add_argument(
         "--edge-length",
         metavar="L",
@@ -214,13 +219,8 @@ def _require_free_vertex(sequence: Sequence, path: Path) -> None:
 
 
 def make_emulator(sequence: Sequence, args: argparse.Namespace) -> Emulator:
-    """The emulator, with the weights that the arguments name."""
-    if args.weights is None:
-        raise ValueError(
-            "--weights: found none, expected a weights file of the emulator; this version brings none of its own: make one with "
-            "followthrough dataset and followthrough train, or use simulate --solver implicit-euler instead"
-        )
-    weights = EmulatorWeights.load(args.weights)
+    """The emulator, with the weights that the arguments name, or those that come with the product."""
+    weights = EmulatorWeights.shipped() if args.weights is None else EmulatorWeights.load(args.weights)
     sound_body(sequence, args.sequence)
     with _warnings_of(args.sequence):
         return Emulator.of_sequence(sequence, weights, edge_length=args.edge_length)
