@@ -76,8 +76,13 @@ inline void store(float* to, long stride, const Square& m) {
 
 /// to[r * to_stride + c] = from[c * from_stride + r] for 16 rows and columns.
 inline void transpose_group(const float* from, long from_stride, float* to, long to_stride) {
-  for (int r = 0; r < kGroup; ++r) {
-    for (int c = 0; c < kGroup; ++c) to[r * to_stride + c] = from[c * from_stride + r];
+  for (int r = 0; r < kGroup; r += kLanes) {
+    for (int c = 0; c < kGroup; c += kLanes) {
+      Lanes tile[kLanes];
+      for (int k = 0; k < kLanes; ++k) tile[k] = load(from + (c + k) * from_stride + r);
+      transpose_tile(tile);
+      for (int k = 0; k < kLanes; ++k) store(to + (r + k) * to_stride + c, tile[k]);
+    }
   }
 }
 

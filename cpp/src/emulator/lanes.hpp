@@ -16,8 +16,9 @@ namespace followthrough::FOLLOWTHROUGH_ISA {
 namespace {
 
 // multiply_add(a, b, c) is a b + c, rounded once where the set can. smaller(limit, x) and larger(limit, x) keep x where it is NaN.
-// select(m, a, b) is a where m holds and b elsewhere; gather reads from + index[lane].
-// kTileRows x kTileColumns registers hold the sums of a tile and leave a few for what goes into them.
+// select(m, a, b) is a where m holds and b elsewhere; gather reads from + index[lane]. transpose_tile turns kLanes registers, rows
+// of a square, into its columns. kTileRows x kTileColumns registers hold the sums of a tile and leave a few for what goes into
+// them.
 #if defined(__AVX512F__)
 using Lanes = __m512;
 constexpr int kLanes = 16, kTileRows = 12, kTileColumns = 2;
@@ -33,6 +34,31 @@ inline LaneMask both(LaneMask a, LaneMask b) { return static_cast<LaneMask>(a & 
 inline Lanes select(LaneMask m, Lanes a, Lanes b) { return _mm512_mask_blend_ps(m, b, a); }
 inline unsigned bits_of(LaneMask m) { return m; }
 inline Lanes gather(const float* from, const int* index) { return _mm512_i32gather_ps(_mm512_loadu_si512(index), from, 4); }
+inline void transpose_tile(Lanes* rows) {
+  Lanes pairs[16], fours[16];
+  for (int k = 0; k < 16; k += 2) {
+    pairs[k] = _mm512_unpacklo_ps(rows[k], rows[k + 1]);
+    pairs[k + 1] = _mm512_unpackhi_ps(rows[k], rows[k + 1]);
+  }
+  for (int k = 0; k < 16; k += 4) {
+    for (int h = 0; h < 2; ++h) {
+      const __m512d a = _mm512_castps_pd(pairs[k + h]), b = _mm512_castps_pd(pairs[k + h + 2]);
+      fours[k + 2 * h] = _mm512_castpd_ps(_mm512_unpacklo_pd(a, b));
+      fours[k + 2 * h + 1] = _mm512_castpd_ps(_mm512_unpackhi_pd(a, b));
+    }
+  }
+  // fours[4 q + c] has column c + 4 p of the rows 4 q to 4 q + 3 in its quarter p.
+  for (int c = 0; c < 4; ++c) {
+    const Lanes even_low = _mm512_shuffle_f32x4(fours[c], fours[4 + c], 0x88),
+                odd_low = _mm512_shuffle_f32x4(fours[c], fours[4 + c], 0xdd);
+    const Lanes even_high = _mm512_shuffle_f32x4(fours[8 + c], fours[12 + c], 0x88);
+    const Lanes odd_high = _mm512_shuffle_f32x4(fours[8 + c], fours[12 + c], 0xdd);
+    rows[c] = _mm512_shuffle_f32x4(even_low, even_high, 0x88);
+    rows[c + 4] = _mm512_shuffle_f32x4(odd_low, odd_high, 0x88);
+    rows[c + 8] = _mm512_shuffle_f32x4(even_low, even_high, 0xdd);
+    rows[c + 12] = _mm512_shuffle_f32x4(odd_low, odd_high, 0xdd);
+  }
+}
 inline Lanes multiply(Lanes a, Lanes b) { return _mm512_mul_ps(a, b); }
 inline Lanes divide(Lanes a, Lanes b) { return _mm512_div_ps(a, b); }
 inline Lanes smaller(Lanes limit, Lanes x) { return _mm512_min_ps(limit, x); }
@@ -54,6 +80,23 @@ inline Lanes select(LaneMask m, Lanes a, Lanes b) { return _mm256_blendv_ps(b, a
 inline unsigned bits_of(LaneMask m) { return static_cast<unsigned>(_mm256_movemask_ps(m)); }
 inline Lanes gather(const float* from, const int* index) {
   return _mm256_i32gather_ps(from, _mm256_loadu_si256(reinterpret_cast<const __m256i*>(index)), 4);
+}
+inline void transpose_tile(Lanes* rows) {
+  Lanes pairs[8], fours[8];
+  for (int k = 0; k < 8; k += 2) {
+    pairs[k] = _mm256_unpacklo_ps(rows[k], rows[k + 1]);
+    pairs[k + 1] = _mm256_unpackhi_ps(rows[k], rows[k + 1]);
+  }
+  for (int k = 0; k < 8; k += 4) {
+    for (int h = 0; h < 2; ++h) {
+      fours[k + 2 * h] = _mm256_shuffle_ps(pairs[k + h], pairs[k + h + 2], 0x44);
+      fours[k + 2 * h + 1] = _mm256_shuffle_ps(pairs[k + h], pairs[k + h + 2], 0xee);
+    }
+  }
+  for (int c = 0; c < 4; ++c) {
+    rows[c] = _mm256_permute2f128_ps(fours[c], fours[4 + c], 0x20);
+    rows[c + 4] = _mm256_permute2f128_ps(fours[c], fours[4 + c], 0x31);
+  }
 }
 inline Lanes multiply(Lanes a, Lanes b) { return _mm256_mul_ps(a, b); }
 inline Lanes divide(Lanes a, Lanes b) { return _mm256_div_ps(a, b); }
@@ -77,6 +120,7 @@ inline unsigned bits_of(LaneMask m) { return static_cast<unsigned>(_mm_movemask_
 inline Lanes gather(const float* from, const int* index) {
   return _mm_set_ps(from[index[3]], from[index[2]], from[index[1]], from[index[0]]);
 }
+inline void transpose_tile(Lanes* rows) { _MM_TRANSPOSE4_PS(rows[0], rows[1], rows[2], rows[3]); }
 inline Lanes multiply(Lanes a, Lanes b) { return _mm_mul_ps(a, b); }
 inline Lanes divide(Lanes a, Lanes b) { return _mm_div_ps(a, b); }
 inline Lanes smaller(Lanes limit, Lanes x) { return _mm_min_ps(limit, x); }
@@ -102,6 +146,13 @@ inline Lanes gather(const float* from, const int* index) {
   const float values[4] = {from[index[0]], from[index[1]], from[index[2]], from[index[3]]};
   return vld1q_f32(values);
 }
+inline void transpose_tile(Lanes* rows) {
+  const float32x4x2_t a = vtrnq_f32(rows[0], rows[1]), b = vtrnq_f32(rows[2], rows[3]);
+  rows[0] = vcombine_f32(vget_low_f32(a.val[0]), vget_low_f32(b.val[0]));
+  rows[1] = vcombine_f32(vget_low_f32(a.val[1]), vget_low_f32(b.val[1]));
+  rows[2] = vcombine_f32(vget_high_f32(a.val[0]), vget_high_f32(b.val[0]));
+  rows[3] = vcombine_f32(vget_high_f32(a.val[1]), vget_high_f32(b.val[1]));
+}
 inline Lanes multiply(Lanes a, Lanes b) { return vmulq_f32(a, b); }
 inline Lanes divide(Lanes a, Lanes b) { return vdivq_f32(a, b); }
 inline Lanes smaller(Lanes limit, Lanes x) { return vminq_f32(limit, x); }
@@ -122,6 +173,7 @@ inline LaneMask both(LaneMask a, LaneMask b) { return a && b; }
 inline Lanes select(LaneMask m, Lanes a, Lanes b) { return m ? a : b; }
 inline unsigned bits_of(LaneMask m) { return m ? 1u : 0u; }
 inline Lanes gather(const float* from, const int* index) { return from[*index]; }
+inline void transpose_tile(Lanes* /*rows*/) {}
 inline Lanes multiply(Lanes a, Lanes b) { return a * b; }
 inline Lanes divide(Lanes a, Lanes b) { return a / b; }
 inline Lanes smaller(Lanes limit, Lanes x) { return limit < x ? limit : x; }

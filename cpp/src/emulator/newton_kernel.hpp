@@ -47,7 +47,7 @@ struct NewtonRows {
   const float* masses;                 ///< (padded,) on the diagonal
   const float* shares;                 ///< of the tets
   const float* gradient_shares;        ///< of the tets
-  std::int32_t offset_stride;            ///< padded, and the constrained rows
+  std::int32_t offset_stride;          ///< padded, and the constrained rows
   const float* offsets;                ///< (3, offset_stride) z - y
   float* blocks;                       ///< out: (slots, 9, 16)
   float* diagonal;                     ///< out: (groups, 6, 16) xx yy zz xy xz yz

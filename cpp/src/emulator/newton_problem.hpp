@@ -81,7 +81,7 @@ struct NewtonProblem {
   NewtonRows row_frame{};
   NewtonPatchFrame patch_frame{};
   double residual_square = 0;  // r . D^-1 r at the start of the conjugate gradients
-  bool wants_frames = true;  // whether a frame's first evaluation prepares them
+  bool wants_frames = true;    // whether a frame's first evaluation prepares them
   bool began = false, evaluated = false, frames_found = false;
 
  private:
