@@ -477,8 +477,6 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   patch_frame.steps = steps.data();
 }
 
-int NewtonProblem::threads_of(std::int64_t items, double nanoseconds) const { return worthwhile_threads(items, nanoseconds); }
-
 double NewtonProblem::sum(int which) const {
   double total = 0;
   for (const LaneSums& block : sums) {
@@ -488,9 +486,8 @@ double NewtonProblem::sum(int which) const {
 }
 
 void NewtonProblem::begin(const NewtonHistory& h, double beta) {
-  const auto blend = static_cast<double>(beta);
-  Eigen::RowVector3d centre = h.reference_next.row(vertices.empty() ? 0 : vertices.front()) * inverse_length;
-#pragma omp parallel for schedule(static) num_threads(threads_of(row_count, 60.0))
+  const Eigen::RowVector3d centre = h.reference_next.row(vertices.empty() ? 0 : vertices.front()) * inverse_length;
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(row_count, 20.0))
   for (std::int32_t row = 0; row < row_count; ++row) {
     const Index v = vertices[size(row)];
     float* record = records.data() + std::int64_t{row} * kRecordSize;
@@ -503,7 +500,7 @@ void NewtonProblem::begin(const NewtonHistory& h, double beta) {
       const std::size_t place = 3 * size(row) + size(k);
       inertial[place] = ahead;
       last[place] = u0;
-      positions[place] = start[place] = row < free_count ? ahead + blend * motion : x1;
+      positions[place] = start[place] = row < free_count ? ahead + beta * motion : x1;
       record[kMotion + k] = static_cast<float>(motion);
       record[kSecondary + k] = static_cast<float>(u0 - x0);
       record[kAcceleration + k] = static_cast<float>((u0 - u1) - (u1 - u2));
@@ -526,11 +523,11 @@ double NewtonProblem::assemble() {
   constexpr std::int32_t tet_block = 4;
   const std::int32_t tet_blocks_count = (tet_groups + tet_block - 1) / tet_block,
                      row_blocks = static_cast<std::int32_t>(sums.size());
-#pragma omp parallel for schedule(static) num_threads(threads_of(tet_groups, 1500.0))
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(tet_groups, 500.0))
   for (std::int32_t block = 0; block < tet_blocks_count; ++block) {
     kernel.tet_shares(tet_frame, block * tet_block, std::min((block + 1) * tet_block, tet_groups));
   }
-#pragma omp parallel for schedule(static) num_threads(threads_of(groups, 2000.0))
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 2400.0))
   for (std::int32_t block = 0; block < row_blocks; ++block) {
     kernel.assemble_rows(row_frame, block * block_groups, std::min((block + 1) * block_groups, groups), &sums[size(block)]);
   }
@@ -542,7 +539,7 @@ double NewtonProblem::assemble() {
 
 void NewtonProblem::find_frames() {
   const Kernels kernel = kernels();
-#pragma omp parallel for schedule(static) num_threads(threads_of(groups, 1500.0))
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 800.0))
   for (std::int32_t group = 0; group < groups; ++group) kernel.row_frames(row_frame, group, group + 1);
   frames_found = true;
 }
@@ -552,7 +549,7 @@ void NewtonProblem::solve(int iterations) {
   const auto row_blocks = static_cast<std::int32_t>(sums.size());
   const double enough = solver_tolerance * solver_tolerance * residual_square;
   double square = residual_square;
-  const int threads = threads_of(groups, 600.0);
+  const int threads = worthwhile_threads(groups, 200.0);
   for (int k = 0; k < iterations && square > enough && square > 0.0; ++k) {
 #pragma omp parallel for schedule(static) num_threads(threads)
     for (std::int32_t block = 0; block < row_blocks; ++block) {
@@ -581,7 +578,7 @@ void NewtonProblem::solve(int iterations) {
 
 void NewtonProblem::describe(const std::vector<std::int32_t>& columns) {
   if (!frames_found) find_frames();
-  const int threads = threads_of(row_count, 60.0);
+  const int threads = worthwhile_threads(row_count, 20.0);
   const float* vectors[] = {solution.data(), first.data(), preconditioned.data()};
 #pragma omp parallel for schedule(static) num_threads(threads)
   for (std::int32_t row = 0; row < row_count; ++row) {

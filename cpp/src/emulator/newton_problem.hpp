@@ -62,7 +62,6 @@ struct NewtonProblem {
   std::vector<Index> free_vertices;  // the first of them
   std::vector<Index> edge_starts, edge_rows, edge_vertices;
   std::vector<Index> unused;  // constrained vertices that are no row's
-  int threads_of(std::int64_t items, double nanoseconds) const;
 
   // Tets.
   std::int32_t tet_groups;

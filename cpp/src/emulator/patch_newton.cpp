@@ -24,7 +24,7 @@ constexpr double nothing_left = 1e-7;
 // How much larger it may be after a network's step.
 constexpr double tolerated_growth = 4.0;
 // What a core does at least, multiply-adds a nanosecond.
-constexpr double slowest_rate = 10.0;
+constexpr double slowest_rate = 30.0;
 
 decltype(&baseline::predict_steps) predict_steps_kernel() {
   switch (instruction_set()) {
