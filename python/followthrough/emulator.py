@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 class Emulator(Solver):
     """A network moves the free vertices, constrained ones take the reference.
 
-    The state's arrays are positions of the last three frames, the newest first, then the reference of the last two, m.
+    The state's arrays are positions of the last three frames, the newest first, then the reference of the last two, m; those of a
+    network that guides Newton steps are a frame more of either.
 
     A scene of any size, frame rate and density is mapped to the network's own units such that every vertex keeps its dimensionless
     stiffness s = E dt² / (density edge²), on which alone the motion depends. Where s lies outside the range that the network was trained
@@ -51,7 +52,7 @@ class Emulator(Solver):
         says so.
     extra_passes, extra_iterations
         Newton passes without a network at the end of each frame, and conjugate gradient iterations of each: the more, the nearer to
-        backward Euler's own answer, and the slower. Only for networks that correct Newton steps.
+        backward Euler's own answer, and the slower. Only for networks that guide Newton steps.
 
     Raises
     ------
@@ -96,13 +97,24 @@ class Emulator(Solver):
         if weights.newton is None:
             if extra_passes:
                 raise ValueError(
-                    f"extra_passes: found {extra_passes}, expected 0 for a network that corrects no passes"
+                    f"extra_passes: found {extra_passes}, expected 0 for a network that takes no Newton steps"
                 )
             core = _patch_network(body, weights)
         else:
-            passes = newton_weights.core_passes(weights.parameters, weights.newton)
-            core = _core.PatchNewton(*body, *material, passes, weights.newton.beta, extra_passes, extra_iterations)
+            schedule = weights.newton
+            start, *passes = (newton_weights.layers(weights.parameters, guide) for guide in schedule.guides())
+            core = _core.PatchNewton(
+                *body,
+                *material,
+                start,
+                list(zip(schedule.iterations, passes, strict=True)),
+                schedule.most_passes,
+                schedule.tolerance,
+                extra_passes,
+                extra_iterations,
+            )
         super().__init__(core)
+        self._history = 3 if weights.newton is None else 4
         self._warn_of_material(material, weights)
         self._warn_outside(self.stiffness[~pinned], trained_on.stiffness_range)
 
@@ -134,7 +146,7 @@ class Emulator(Solver):
 
     @staticmethod
     def _warn_of_material(material: tuple[float, float], weights: EmulatorWeights) -> None:
-        consequence = "knows no other" if weights.newton is None else "corrects others less well"
+        consequence = "knows no other" if weights.newton is None else "guides others less well"
         for name, found in zip(("poisson_ratio", "compression_resistance"), material, strict=True):
             learned = getattr(weights.trained_on, name)
             if not np.isclose(found, learned):
@@ -182,9 +194,10 @@ class Emulator(Solver):
 
     def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
         """Continue after frames (t + 1, n, 3) that are known, t 0 or more; before the first one stands the first one."""
-        frames = [dynamic[max(len(dynamic) - k, 0)] for k in (1, 2, 3)]
-        references = [reference[max(len(reference) - k, 0)] for k in (1, 2)]
-        self.restore(SolverState((*frames, *references), len(dynamic) - 1))
+        past, references = (3, 2) if self._history == 3 else (4, 3)
+        arrays = [dynamic[max(len(dynamic) - k, 0)] for k in range(1, past + 1)]
+        arrays += [reference[max(len(reference) - k, 0)] for k in range(1, references + 1)]
+        self.restore(SolverState(tuple(arrays), len(dynamic) - 1))
 
 
 def _patch_network(body: tuple[Any, ...], weights: EmulatorWeights) -> Any:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Weights files of the emulator: the network's parameters under their names in PyTorch, and what they were trained on.
 
-There are two kinds of network: the paper's, `patch`, and Newton steps that a network corrects, `patch-newton`.
+There are two kinds of network: the paper's, `patch`, and Newton steps that small networks guide, `guided-newton`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Layers = list[tuple[Float32Array, Float32Array | None]]
 #: The key that holds what is not a parameter, as JSON text.
 METADATA_KEY = "followthrough"
 FORMAT = 1
-NETWORKS = ("patch", "patch-newton")
+NETWORKS = ("patch", "guided-newton")
 PERCEPTRONS = ("point_mlp", "edge_mlp", "edge_mlp_2", "edge_mlp_3", "instance_mlp")
 
 
@@ -70,13 +70,13 @@ class EmulatorWeights:
     Attributes
     ----------
     parameters : dict of float32 arrays
-        `point_mlp.0.weight` or `passes.0.edge.0.weight` and so on (docs/command-line.md, "Weights files").
+        `point_mlp.0.weight` or `passes.0.1.weight` and so on (docs/command-line.md, "Weights files").
     trained_on
         Units and reach.
     manifest
         How it was made, for people: data, seed, configuration, scores.
     newton
-        The passes, where this is a `patch-newton`; None: the paper's network.
+        The passes, where this is a `guided-newton`; None: the paper's network.
 
     Raises
     ------
@@ -130,8 +130,8 @@ class EmulatorWeights:
 
     @property
     def network(self) -> str:
-        """`patch` or `patch-newton`."""
-        return "patch" if self.newton is None else "patch-newton"
+        """`patch` or `guided-newton`."""
+        return "patch" if self.newton is None else "guided-newton"
 
     @property
     def rings(self) -> int:
@@ -242,7 +242,7 @@ def _checked(name: str, array: NDArray[Any], dimensions: int) -> Float32Array:
     if array.dtype.kind != "f":
         raise ValueError(f"{name}: found {array.dtype}, expected float32")
     if array.ndim != dimensions or array.size == 0:
-        expected = "(outputs, inputs)" if dimensions == 2 else "(1,)" if name.endswith(".skip") else "(outputs,)"
+        expected = "(outputs, inputs)" if dimensions == 2 else "(outputs,)"
         raise ValueError(f"{name}: found shape {array.shape}, expected {expected}")
     with np.errstate(over="ignore"):
         array = np.ascontiguousarray(array, dtype=np.float32)
@@ -268,7 +268,7 @@ def _metadata(text: NDArray[Any] | None) -> tuple[TrainedOn, dict[str, Any], New
             return (
                 TrainedOn(**{name: float(n) for name, n in numbers.items()}, stiffness_range=(float(low), float(high))),
                 manifest,
-                NewtonSchedule.from_metadata(values["passes"], values["beta"]) if network == "patch-newton" else None,
+                NewtonSchedule.from_metadata(values) if network == "guided-newton" else None,
             )
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{METADATA_KEY}: found metadata that this version cannot read ({error!r})") from None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A frame's Newton steps as a network sees them, a pass at a time: what its training drives, and what the emulator does natively."""
+"""A frame's Newton steps as their guides see them, a pass at a time: what its training drives, and what the emulator does natively."""
 
 from __future__ import annotations
 
@@ -19,24 +19,18 @@ Int32Array = NDArray[np.int32]
 
 
 class PatchFeatures(NamedTuple):
-    """What a network is told of f free vertices, c channels being chosen (`cpp/include/followthrough/emulator/newton_patches.hpp`).
+    """What a guide is told of f free vertices (`cpp/include/followthrough/emulator/newton_patches.hpp`).
 
     Attributes
     ----------
-    edge_inputs : (edges, 3 c + 8) float32
-        Of every neighbour of every free vertex.
-    centre_inputs : (f, 3 c + 17) float32
-        Of every free vertex.
-    sigma : (f,) float32
-        Size of the channels around it, edges.
-    rotations : (f, 3, 3) float32
-        From its own frame to the scene's.
+    vectors : (f, v, 3) float32
+        Those that it weighs, edges.
+    scalars : (f, k) float32
+        Other numbers.
     """
 
-    edge_inputs: Float32Array
-    centre_inputs: Float32Array
-    sigma: Float32Array
-    rotations: Float32Array
+    vectors: Float32Array
+    scalars: Float32Array
 
 
 class NewtonPatches:
@@ -131,17 +125,15 @@ class NewtonPatches:
         neighbours: Int32Array = self._core.neighbours
         return neighbours
 
-    def begin(self, dynamic: ArrayLike, reference: ArrayLike, beta: float = 0.5) -> None:
+    def begin(self, dynamic: ArrayLike, reference: ArrayLike) -> None:
         """Start a frame.
 
         Parameters
         ----------
-        dynamic : (3, n, 3) float
-            Positions u(t), u(t-1), u(t-2), m.
-        reference : (3, n, 3) float
-            Reference x(t-1), x(t), x(t+1), m.
-        beta
-            Where the estimate starts (`newton_weights.NewtonSchedule`).
+        dynamic : (4, n, 3) float
+            Positions u(t), u(t-1), u(t-2), u(t-3), m.
+        reference : (4, n, 3) float
+            Reference x(t+1), x(t), x(t-1), x(t-2), m.
 
         Raises
         ------
@@ -151,10 +143,14 @@ class NewtonPatches:
         arrays: list[FloatArray] = []
         for name, frames in (("dynamic", dynamic), ("reference", reference)):
             array = np.ascontiguousarray(frames, dtype=np.float64)
-            if array.shape != (3, self.vertex_count, 3):
-                raise ValueError(f"{name}: found shape {array.shape}, expected (3, {self.vertex_count}, 3)")
-            arrays.extend(array)
-        self._core.begin(*arrays, float(beta))
+            if array.shape != (4, self.vertex_count, 3):
+                raise ValueError(f"{name}: found shape {array.shape}, expected (4, {self.vertex_count}, 3)")
+            arrays.append(array)
+        self._core.begin(*(list(array) for array in arrays))
+
+    def start_features(self) -> PatchFeatures:
+        """What the guide of the start is told, after `begin`."""
+        return _features(self._core.start_features())
 
     def evaluate(self, iterations: int) -> float:
         """Gradient, tangent and direction at the estimate.
@@ -171,16 +167,9 @@ class NewtonPatches:
         """
         return float(self._core.evaluate(iterations))
 
-    def features(self, channels: str) -> PatchFeatures:
-        """What a network with these channels is told, after `evaluate`.
-
-        Raises
-        ------
-        ValueError
-            On letters that are no channels.
-        """
-        edges, centres, sizes, rotations = self._core.features(channels)
-        return PatchFeatures(edges, centres, sizes, rotations.reshape(-1, 3, 3))
+    def features(self) -> PatchFeatures:
+        """What a pass's guide is told, after `evaluate`."""
+        return _features(self._core.features())
 
     def direction(self) -> Float32Array:
         """The truncated Newton direction of the free vertices (f, 3), edges."""
@@ -204,3 +193,8 @@ class NewtonPatches:
         """The estimate of all vertices (n, 3), m."""
         estimate: FloatArray = self._core.estimate()
         return estimate
+
+
+def _features(arrays: tuple[Float32Array, Float32Array]) -> PatchFeatures:
+    vectors, scalars = arrays
+    return PatchFeatures(vectors.reshape(len(vectors), -1, 3), scalars)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The networks of a patch-corrected Newton emulator: what its passes are, and the parameters that each of them needs."""
+"""The guides of an emulator that takes guided Newton steps: what its passes are, and the parameters that each of them needs."""
 
 from __future__ import annotations
 
@@ -15,42 +15,14 @@ from numpy.typing import NDArray
 from followthrough import _core
 
 Float32Array = NDArray[np.float32]
-Layer = tuple[Float32Array, Float32Array | None]
+Layer = tuple[Float32Array, Float32Array]
 
-#: What a pass's network can be told as vectors (`cpp/include/followthrough/emulator/newton_patches.hpp`).
-CHANNELS = "gplwsar"
-#: Names that parameters of a pass can have.
-PARAMETER = re.compile(
-    r"passes\.\d+\.(edge\.\d+\.weight|edge\.[1-9]\d*\.bias|centre\.(weight|bias)|instance\.\d+\.(weight|bias)|out\.weight|skip)"
-)
-
-
-@dataclass(frozen=True)
-class NewtonPass:
-    """One pass of a frame.
-
-    Attributes
-    ----------
-    iterations
-        Of the conjugate gradients, at most; 0 or more.
-    channels
-        Letters of the vectors that the pass's network is told, each once; None: the pass has no network and steps along the direction.
-    """
-
-    iterations: int
-    channels: str | None = None
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.iterations, int) or isinstance(self.iterations, bool) or self.iterations < 0:
-            raise ValueError(f"iterations: found {self.iterations!r}, expected a whole number, 0 or more")
-        if self.iterations > 10_000:
-            raise ValueError(f"iterations: found {self.iterations}, expected at most 10000")
-        if self.channels is not None:
-            known = isinstance(self.channels, str) and self.channels and set(self.channels) <= set(CHANNELS)
-            if not known or len(set(self.channels)) < len(self.channels):
-                raise ValueError(
-                    f"channels: found {self.channels!r}, expected some of the letters {', '.join(CHANNELS)}, each once"
-                )
+#: Vectors and numbers that a guide is told (`cpp/include/followthrough/emulator/newton_patches.hpp`).
+START_SIZE: tuple[int, int] = tuple(_core.start_guide_size)
+PASS_SIZE: tuple[int, int] = tuple(_core.pass_guide_size)
+#: Names that parameters can have.
+PARAMETER = re.compile(r"(start|passes\.\d+)\.\d+\.(weight|bias)")
+_MOST_ITERATIONS, _MOST_PASSES = 10_000, 1000
 
 
 @dataclass(frozen=True)
@@ -59,30 +31,45 @@ class NewtonSchedule:
 
     Attributes
     ----------
-    passes
-        One after the other; at least one.
-    beta
-        Where a frame starts between the inertial guess, 0, and the reference's motion from u(t) on, 1.
+    iterations
+        Of the conjugate gradients, at most, pass by pass; the last pass is repeated. None: the first estimate is the frame.
+    most_passes
+        Of a frame.
+    tolerance
+        Edges; passes end where the first preconditioned residual's root mean square is below it. The estimate is then off by about
+        three times as much.
     """
 
-    passes: tuple[NewtonPass, ...]
-    beta: float = 0.5
+    iterations: tuple[int, ...] = (10, 10)
+    most_passes: int = 4
+    tolerance: float = 1e-3
 
     def __post_init__(self) -> None:
-        if not self.passes:
-            raise ValueError("passes: found none, expected at least one")
-        if not (math.isfinite(self.beta) and 0 <= self.beta <= 1):
-            raise ValueError(f"beta: found {self.beta}, expected 0 to 1")
+        object.__setattr__(self, "iterations", tuple(self.iterations))
+        for count in self.iterations:
+            _require_count("iterations", count, _MOST_ITERATIONS)
+        _require_count("most_passes", self.most_passes, _MOST_PASSES)
+        if not (math.isfinite(self.tolerance) and self.tolerance >= 0):
+            raise ValueError(f"tolerance: found {self.tolerance}, expected 0 edges or more")
 
     @classmethod
-    def from_metadata(cls, passes: Any, beta: Any) -> NewtonSchedule:
+    def from_metadata(cls, values: Mapping[str, Any]) -> NewtonSchedule:
         """Of what a weights file says."""
-        return cls(tuple(NewtonPass(entry["iterations"], entry["channels"]) for entry in passes), float(beta))
+        return cls(tuple(values["iterations"]), values["most_passes"], float(values["tolerance"]))
 
     def metadata(self) -> dict[str, Any]:
         """What a weights file says."""
-        passes = [{"iterations": entry.iterations, "channels": entry.channels} for entry in self.passes]
-        return {"passes": passes, "beta": self.beta}
+        return {"iterations": list(self.iterations), "most_passes": self.most_passes, "tolerance": self.tolerance}
+
+    def guides(self) -> dict[str, tuple[int, int]]:
+        """Names of the guides, with the numbers of vectors and of other numbers that each is told."""
+        return {"start": START_SIZE, **{f"passes.{k}": PASS_SIZE for k in range(len(self.iterations))}}
+
+
+def guide_inputs(size: tuple[int, int]) -> int:
+    """Number of a guide's inputs."""
+    vectors, scalars = size
+    return vectors * (vectors + 1) // 2 + scalars
 
 
 def dimensions_of(name: str) -> int:
@@ -91,23 +78,23 @@ def dimensions_of(name: str) -> int:
     Raises
     ------
     ValueError
-        Where no pass has one of that name.
+        Where no guide has one of that name.
     """
     if not PARAMETER.fullmatch(name):
-        raise ValueError(f"found {name}, expected only parameters of passes such as passes.0.edge.0.weight")
+        raise ValueError(f"found {name}, expected only parameters of guides such as start.0.weight or passes.0.1.bias")
     return 2 if name.endswith(".weight") else 1
 
 
-def layers(parameters: Mapping[str, Float32Array], place: str) -> list[Layer]:
-    """Layers `place`.0, `place`.1 and so on, as far as they go."""
+def layers(parameters: Mapping[str, Float32Array], guide: str) -> list[Layer]:
+    """A guide's layers, as far as they go."""
     found: list[Layer] = []
-    while (weight := parameters.get(f"{place}.{len(found)}.weight")) is not None:
-        found.append((weight, parameters.get(f"{place}.{len(found)}.bias")))
+    while (weight := parameters.get(f"{guide}.{len(found)}.weight")) is not None:
+        found.append((weight, parameters[f"{guide}.{len(found)}.bias"]))
     return found
 
 
 def require_parameters(parameters: Mapping[str, Float32Array], schedule: NewtonSchedule) -> None:
-    """Check that every pass has what it needs and nothing else.
+    """Check that every guide has what it needs, and that there is nothing else.
 
     Raises
     ------
@@ -115,14 +102,19 @@ def require_parameters(parameters: Mapping[str, Float32Array], schedule: NewtonS
         Naming the parameter, what was found and what was expected.
     """
     expected: dict[str, tuple[int, ...]] = {}
-    for k, entry in enumerate(schedule.passes):
-        if entry.channels is not None:
-            expected |= _expected(parameters, f"passes.{k}", 3 * len(entry.channels))
+    for guide, size in schedule.guides().items():
+        width, depth = guide_inputs(size), 0
+        while f"{guide}.{depth}.weight" in parameters:
+            outputs = len(parameters[f"{guide}.{depth}.weight"])
+            if f"{guide}.{depth + 1}.weight" not in parameters:
+                outputs = size[0]
+            expected |= {f"{guide}.{depth}.weight": (outputs, width), f"{guide}.{depth}.bias": (outputs,)}
+            width, depth = outputs, depth + 1
+        if not depth:
+            raise ValueError(f"found no {guide}.0.weight, expected at least one layer")
     unknown = sorted(set(parameters) - set(expected))
     if unknown:
-        raise ValueError(
-            f"found {', '.join(unknown[:5])}, expected only parameters of the passes that have channels, layers without gaps"
-        )
+        raise ValueError(f"found {', '.join(unknown[:5])}, expected only parameters of the passes, layers without gaps")
     for name, shape in expected.items():
         if name not in parameters:
             raise ValueError(f"found no {name}, expected one of shape {shape}")
@@ -130,47 +122,6 @@ def require_parameters(parameters: Mapping[str, Float32Array], schedule: NewtonS
             raise ValueError(f"{name}: found shape {parameters[name].shape}, expected {shape}")
 
 
-def _expected(parameters: Mapping[str, Float32Array], place: str, vectors: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of a pass's parameters, given the number of outputs of its layers."""
-    shapes: dict[str, tuple[int, ...]] = {}
-
-    def chain(name: str, inputs: int, first_bias: bool) -> int:
-        found = layers(parameters, f"{place}.{name}")
-        if not found:
-            raise ValueError(f"found no {place}.{name}.0.weight, expected at least one layer")
-        for k, (weight, _) in enumerate(found):
-            shapes[f"{place}.{name}.{k}.weight"] = (len(weight), inputs)
-            inputs = len(weight)
-            if k > 0 or first_bias:
-                shapes[f"{place}.{name}.{k}.bias"] = (inputs,)
-        return inputs
-
-    width = chain("edge", vectors + 8, first_bias=False)
-    first = len(parameters[f"{place}.edge.0.weight"])
-    shapes[f"{place}.centre.weight"] = (first, vectors + 17)
-    shapes[f"{place}.centre.bias"] = (first,)
-    shapes[f"{place}.out.weight"] = (3, chain("instance", width + vectors + 17, first_bias=True))
-    shapes[f"{place}.skip"] = (1,)
-    return shapes
-
-
-def core_passes(parameters: Mapping[str, Float32Array], schedule: NewtonSchedule) -> list[Any]:
-    """The passes as the core takes them."""
-    passes: list[Any] = []
-    for k, entry in enumerate(schedule.passes):
-        if entry.channels is None:
-            passes.append(_core.NewtonPass(entry.iterations))
-            continue
-        place = f"passes.{k}"
-        passes.append(
-            _core.NewtonPass(
-                entry.iterations,
-                entry.channels,
-                layers(parameters, f"{place}.edge"),
-                (parameters[f"{place}.centre.weight"], parameters[f"{place}.centre.bias"]),
-                layers(parameters, f"{place}.instance"),
-                (parameters[f"{place}.out.weight"], None),
-                float(parameters[f"{place}.skip"][0]),
-            )
-        )
-    return passes
+def _require_count(name: str, found: Any, most: int) -> None:
+    if not isinstance(found, int) or isinstance(found, bool) or not 0 <= found <= most:
+        raise ValueError(f"{name}: found {found!r}, expected a whole number, 0 to {most}")

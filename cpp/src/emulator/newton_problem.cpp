@@ -34,16 +34,16 @@ constexpr std::size_t sorting_window = 64;
 struct Kernels {
   decltype(&baseline::tet_shares) tet_shares;
   decltype(&baseline::assemble_rows) assemble_rows;
-  decltype(&baseline::row_frames) row_frames;
   decltype(&baseline::multiply_rows) multiply_rows;
   decltype(&baseline::advance_rows) advance_rows;
   decltype(&baseline::turn_rows) turn_rows;
+  decltype(&baseline::neighbour_means) neighbour_means;
 };
 
 Kernels kernels() {
 #define FOLLOWTHROUGH_KERNELS_OF(isa)                                                                           \
   {                                                                                                             \
-    isa::tet_shares, isa::assemble_rows, isa::row_frames, isa::multiply_rows, isa::advance_rows, isa::turn_rows \
+    isa::tet_shares, isa::assemble_rows, isa::multiply_rows, isa::advance_rows, isa::turn_rows, isa::neighbour_means \
   }
   switch (instruction_set()) {
 #ifdef FOLLOWTHROUGH_HAS_avx512
@@ -68,17 +68,6 @@ void raise_stretches(float* deformation_gradient) noexcept {
   const SignedSvd svd = signed_svd(f.cast<double>());
   if (svd.stretches.minCoeff() >= smallest_stretch) return;
   f = (svd.u * svd.stretches.cwiseMax(smallest_stretch).asDiagonal() * svd.v.transpose()).cast<float>();
-}
-
-void nearest_rotation(const float* gradient, float* rotation) noexcept {
-  const Eigen::Map<const RowMatrix3f> f(gradient);
-  Eigen::Map<RowMatrix3f> r(rotation);
-  if (!f.allFinite()) {
-    r.setIdentity();
-    return;
-  }
-  const SignedSvd svd = signed_svd(f.cast<double>());
-  r = (svd.u * svd.v.transpose()).cast<float>();
 }
 
 void require_constants(const NewtonBody& body, Eigen::Index count) {
@@ -123,23 +112,6 @@ AlignedFloats floats(std::size_t count) { return AlignedFloats(count); }
 std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
 
 }  // namespace
-
-std::vector<std::int32_t> channel_columns(std::string_view channels) {
-  std::vector<std::int32_t> columns;
-  for (const char letter : channels) columns.push_back(3 * static_cast<std::int32_t>(std::string_view("gplwsar").find(letter)));
-  return columns;
-}
-
-void require_channels(std::string_view argument, std::string_view channels) {
-  if (channels.empty()) throw InvalidInput(argument, "found none, expected some of the letters g, p, l, w, s, a, r");
-  for (std::size_t k = 0; k < channels.size(); ++k) {
-    if (std::string_view("gplwsar").find(channels[k]) == std::string_view::npos ||
-        channels.substr(0, k).find(channels[k]) != std::string_view::npos) {
-      throw InvalidInput(argument,
-                         "found " + std::string(channels) + ", expected some of the letters g, p, l, w, s, a, r, each once");
-    }
-  }
-}
 
 NewtonProblem::NewtonProblem(const NewtonBody& body) : count(body.rest_positions.rows()) {
   require_constants(body, count);
@@ -255,7 +227,6 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   gradients = floats(9 * tet_slots);
   materials = floats(4 * tet_slots);
   shares = floats(tet_slots * kTetShare + kNewtonGroup);
-  gradient_shares = floats(tet_slots * kGradientShare);
   struct Pair {
     std::int32_t row, other, share;
     double mass;
@@ -391,37 +362,26 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   blocks = floats(slot_turned.size() * 9 * kNewtonGroup);
   diagonal = floats(6 * size(padded));
   inverse = floats(6 * size(padded));
-  rotations = floats(9 * size(padded));
-  mean_gradients = floats(9 * size(padded));
-  sizes = floats(size(padded));
-  inverse_sizes = floats(size(padded));
-  own = floats(5 * size(padded));
-  records = floats(size(row_count) * kRecordSize);
-  const std::size_t edge_stride = edge_rows.size() + kNewtonGroup;
-  rest_edges = floats(3 * edge_stride);
-  lumped_masses.assign(size(row_count), 0.0f);
-  half_log_stiffness.assign(size(free_count), 0.0f);
-  for (std::int32_t row = 0; row < row_count; ++row) {
-    lumped_masses[size(row)] = static_cast<float>(lumped[size(row)]);
-    records.data()[size(row) * kRecordSize + kTail + 4] = row < free_count ? 0.0f : 1.0f;
-  }
+  const std::size_t columns = size(padded);
+  history = floats(18 * columns);
+  means = floats(kNewtonRecord * columns);
+  motion = floats(vector_size);
+  records = floats(size(row_count) * kNewtonRecord);
+  scalars = floats(size(kPassScalars) * columns);
+  inverse_squares = floats(columns);
+  lumped_masses.assign(columns, 1.0f);
+  half_log_stiffness.assign(columns, 0.0f);
+  fullness.assign(columns, 0.0f);
   for (std::int32_t row = 0; row < free_count; ++row) {
     const Index vertex = vertices[size(row)];
+    lumped_masses[size(row)] = static_cast<float>(lumped[size(row)]);
     masses.data()[row] = static_cast<float>(0.4 * lumped[size(row)]);
     half_log_stiffness[size(row)] = static_cast<float>(0.5 * std::log(stiffness[vertex]));
-    own.data()[5 * row + 2] = half_log_stiffness[size(row)];
-    own.data()[5 * row + 3] = lumped_masses[size(row)];
-    own.data()[5 * row + 4] = static_cast<float>(edge_starts[size(row) + 1] - edge_starts[size(row)]) / 12.0f - 1.0f;
-    for (Index e = edge_starts[size(row)]; e < edge_starts[size(row) + 1]; ++e) {
-      for (int k = 0; k < 3; ++k) {
-        rest_edges.data()[size(k) * edge_stride + size(e)] =
-            static_cast<float>((body.rest_positions(edge_vertices[size(e)], k) - body.rest_positions(vertex, k)) * inverse_length);
-      }
-    }
+    fullness[size(row)] = static_cast<float>(edge_starts[size(row) + 1] - edge_starts[size(row)]) / 14.0f - 1.0f;
   }
+  find_nearness(body);
   for (std::vector<double>* array : {&positions, &start, &inertial, &last}) array->assign(3 * size(row_count), 0.0);
   saved.assign(3 * size(free_count), 0.0);
-  squares.assign(size(row_count), 0.0);
   sums.resize(size((groups + block_groups - 1) / block_groups));
   now = Positions::Zero(count, 3);
   target = Positions::Zero(count, 3);
@@ -446,7 +406,6 @@ void NewtonProblem::arrange(const NewtonBody& body) {
                border_masses.data(),
                masses.data(),
                shares.data(),
-               gradient_shares.data(),
                offset_stride,
                offsets.data(),
                blocks.data(),
@@ -456,25 +415,47 @@ void NewtonProblem::arrange(const NewtonBody& body) {
                preconditioned.data(),
                directions.data(),
                product.data(),
-               solution.data(),
-               rotations.data(),
-               mean_gradients.data(),
-               &nearest_rotation};
-  patch_frame.free_count = free_count;
-  patch_frame.record_size = kRecordSize;
-  patch_frame.tail_column = kTail;
-  patch_frame.records = records.data();
-  patch_frame.starts = edge_starts.data();
-  patch_frame.neighbours = edge_rows.data();
-  patch_frame.edge_stride = static_cast<std::int32_t>(edge_stride);
-  patch_frame.rest_edges = rest_edges.data();
-  patch_frame.rotations = rotations.data();
-  patch_frame.gradients = mean_gradients.data();
-  patch_frame.diagonal = diagonal.data();
-  patch_frame.size = sizes.data();
-  patch_frame.inverse_size = inverse_sizes.data();
-  patch_frame.own = own.data();
-  patch_frame.steps = steps.data();
+               solution.data()};
+  for (std::int32_t v = 0; v < 6; ++v) start_vectors.push_back(history.data() + 3 * v * static_cast<std::int64_t>(padded));
+  pass_vectors = {solution.data(), first.data(), preconditioned.data(), motion.data()};
+  for (std::int64_t v = 0; v < 3; ++v) {
+    const float* mean = means.data() + 3 * v * padded;
+    start_vectors.push_back(mean);
+    if (v < 2) pass_vectors.push_back(mean);
+  }
+  inputs.padded = padded;
+  inputs.inverse_squares = inverse_squares.data();
+  inputs.scalars = scalars.data();
+  inputs.steps = steps.data();
+}
+
+// One over one more than the number of tets between each free row's vertex and the nearest constrained one, 20 at most.
+void NewtonProblem::find_nearness(const NewtonBody& body) {
+  constexpr int farthest = 20;
+  std::vector<int> hops(size(count), farthest);
+  for (Eigen::Index v = 0; v < count; ++v) {
+    if (body.constrained[v]) hops[size(v)] = 0;
+  }
+  for (int hop = 1; hop < farthest; ++hop) {
+    bool farther = false;
+    for (Eigen::Index t = 0; t < body.tets.rows(); ++t) {
+      bool touches = false;
+      for (int k = 0; k < 4; ++k) touches = touches || hops[size(body.tets(t, k))] == hop - 1;
+      if (!touches) continue;
+      for (int k = 0; k < 4; ++k) {
+        int& mine = hops[size(body.tets(t, k))];
+        if (mine > hop) {
+          mine = hop;
+          farther = true;
+        }
+      }
+    }
+    if (!farther) break;
+  }
+  nearness.assign(size(padded), 0.0f);
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    nearness[size(row)] = 1.0f / static_cast<float>(1 + hops[size(vertices[size(row)])]);
+  }
 }
 
 double NewtonProblem::sum(int which) const {
@@ -485,41 +466,45 @@ double NewtonProblem::sum(int which) const {
   return total;
 }
 
-void NewtonProblem::begin(const NewtonHistory& h, double beta) {
-  const Eigen::RowVector3d centre = h.reference_next.row(vertices.empty() ? 0 : vertices.front()) * inverse_length;
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(row_count, 20.0))
+void NewtonProblem::begin(const NewtonHistory& h) {
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(row_count, 30.0))
   for (std::int32_t row = 0; row < row_count; ++row) {
     const Index v = vertices[size(row)];
-    float* record = records.data() + std::int64_t{row} * kRecordSize;
+    const bool moves = row < free_count;
+    float* record = records.data() + std::int64_t{row} * kNewtonRecord;
     for (int k = 0; k < 3; ++k) {
-      const double u0 = h.now(v, k) * inverse_length, u1 = h.before(v, k) * inverse_length,
-                   u2 = h.before_that(v, k) * inverse_length;
-      const double x0 = h.reference_now(v, k) * inverse_length, x1 = h.reference_next(v, k) * inverse_length;
-      const double past = h.reference_before(v, k) * inverse_length;
-      const double ahead = u0 + (u0 - u1), motion = row < free_count ? (x1 - x0) - (u0 - u1) : 0.0;
+      const double u0 = h.dynamic[0](v, k) * inverse_length, u1 = h.dynamic[1](v, k) * inverse_length,
+                   u2 = h.dynamic[2](v, k) * inverse_length, u3 = h.dynamic[3](v, k) * inverse_length;
+      const double x1 = h.reference[0](v, k) * inverse_length, x0 = h.reference[1](v, k) * inverse_length,
+                   before = h.reference[2](v, k) * inverse_length, before_that = h.reference[3](v, k) * inverse_length;
+      const double ahead = u0 + (u0 - u1), acceleration = (u0 - u1) - (u1 - u2);
       const std::size_t place = 3 * size(row) + size(k);
       inertial[place] = ahead;
       last[place] = u0;
-      positions[place] = start[place] = row < free_count ? ahead + beta * motion : x1;
-      record[kMotion + k] = static_cast<float>(motion);
-      record[kSecondary + k] = static_cast<float>(u0 - x0);
-      record[kAcceleration + k] = static_cast<float>((u0 - u1) - (u1 - u2));
-      record[kReferenceAcceleration + k] = static_cast<float>((x1 - x0) - (x0 - past));
-      record[kTail + k] = static_cast<float>(positions[place] - centre[k]);
-      const std::int64_t column = row < free_count ? row : row + padded - free_count;
+      positions[place] = start[place] = moves ? ahead : x1;
+      record[k] = static_cast<float>(moves ? (x1 - x0) - (u0 - u1) : x1 - ahead);
+      record[3 + k] = static_cast<float>(acceleration);
+      record[6 + k] = static_cast<float>(u0 - x0);
+      const std::int64_t column = moves ? row : row + padded - free_count;
       offsets.data()[k * std::int64_t{row_frame.offset_stride} + column] = static_cast<float>(positions[place] - ahead);
+      if (!moves) continue;
+      float* to = history.data() + std::int64_t{k} * padded + row;
+      const std::int64_t next = 3 * std::int64_t{padded};
+      for (int c = 0; c < 3; ++c) to[c * next] = record[3 * c + k];
+      to[3 * next] = static_cast<float>((x1 - x0) - (x0 - before));
+      to[4 * next] = static_cast<float>(acceleration - ((u1 - u2) - (u2 - u3)));
+      to[5 * next] = static_cast<float>((x0 - before) - (before - before_that));
     }
   }
-  now = h.now;
-  target = h.reference_next;
-  origin = centre;
+  std::fill_n(motion.data(), 3 * size(padded), 0.0f);
+  now = h.dynamic[0];
+  target = h.reference[0];
   began = true;
-  evaluated = frames_found = false;
+  evaluated = false;
 }
 
 double NewtonProblem::assemble() {
   const Kernels kernel = kernels();
-  tet_frame.gradient_shares = wants_frames && !evaluated ? gradient_shares.data() : nullptr;
   constexpr std::int32_t tet_block = 4;
   const std::int32_t tet_blocks_count = (tet_groups + tet_block - 1) / tet_block,
                      row_blocks = static_cast<std::int32_t>(sums.size());
@@ -535,13 +520,6 @@ double NewtonProblem::assemble() {
   residual_square = sum(0);
   evaluated = true;
   return free_count ? std::sqrt(sum(1) / (3.0 * free_count)) : 0.0;
-}
-
-void NewtonProblem::find_frames() {
-  const Kernels kernel = kernels();
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 800.0))
-  for (std::int32_t group = 0; group < groups; ++group) kernel.row_frames(row_frame, group, group + 1);
-  frames_found = true;
 }
 
 void NewtonProblem::solve(int iterations) {
@@ -576,63 +554,81 @@ void NewtonProblem::solve(int iterations) {
   }
 }
 
-void NewtonProblem::describe(const std::vector<std::int32_t>& columns) {
-  if (!frames_found) find_frames();
-  const int threads = worthwhile_threads(row_count, 20.0);
-  const float* vectors[] = {solution.data(), first.data(), preconditioned.data()};
-#pragma omp parallel for schedule(static) num_threads(threads)
+void NewtonProblem::describe_start() {
+  const Kernels kernel = kernels();
+  const std::size_t columns = size(padded);
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 600.0))
+  for (std::int32_t group = 0; group < groups; ++group) {
+    kernel.neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1, means.data());
+  }
+  std::copy_n(nearness.data(), columns, scalars.data() + columns);
+  std::copy_n(half_log_stiffness.data(), columns, scalars.data() + 2 * columns);
+  std::copy_n(fullness.data(), columns, scalars.data() + 3 * columns);
+  describe(start_vectors, kStartScalars);
+}
+
+void NewtonProblem::describe_pass() {
+  const Kernels kernel = kernels();
+  const std::size_t columns = size(padded);
+  const float* averaged[] = {solution.data(), preconditioned.data()};
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(row_count, 15.0))
   for (std::int32_t row = 0; row < row_count; ++row) {
-    float* record = records.data() + std::int64_t{row} * kRecordSize;
-    if (row < free_count) {
-      for (int c = 0; c < 3; ++c) {
-        for (int k = 0; k < 3; ++k) record[3 * c + k] = vectors[c][std::int64_t{k} * padded + row];
-      }
-      const float* d = diagonal.data() + std::int64_t{row / kNewtonGroup} * 6 * kNewtonGroup + row % kNewtonGroup;
+    float* record = records.data() + std::int64_t{row} * kNewtonRecord;
+    for (int c = 0; c < 6; ++c) {
+      record[c] = row < free_count ? averaged[c / 3][(c % 3) * std::int64_t{padded} + row] : 0.0f;
+    }
+  }
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 600.0))
+  for (std::int32_t group = 0; group < groups; ++group) {
+    kernel.neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1, means.data());
+    for (std::int32_t lane = 0; lane < kNewtonGroup; ++lane) {
+      const std::int32_t row = group * kNewtonGroup + lane;
+      const float* d = diagonal.data() + std::int64_t{group} * 6 * kNewtonGroup + lane;
       const float trace = d[0] + d[kNewtonGroup] + d[2 * kNewtonGroup];
-      record[kTail + 3] = 0.5f * std::log(trace / 3.0f / lumped_masses[size(row)]);
+      scalars.data()[columns + size(row)] = row < free_count ? 0.5f * std::log(trace / 3.0f / lumped_masses[size(row)]) : 0.0f;
     }
-    float square = 0;
-    for (const std::int32_t column : columns) {
-      for (int k = 0; k < 3; ++k) square += record[column + k] * record[column + k];
+  }
+  std::copy_n(half_log_stiffness.data(), columns, scalars.data() + 2 * columns);
+  std::copy_n(nearness.data(), columns, scalars.data() + 3 * columns);
+  std::copy_n(fullness.data(), columns, scalars.data() + 4 * columns);
+  describe(pass_vectors, kPassScalars);
+}
+
+// The sum of squares, and its logarithm.
+void NewtonProblem::describe(const std::vector<const float*>& vectors, std::int32_t scalar_count) {
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(free_count, 40.0))
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    float square = 1e-18f;
+    for (const float* vector : vectors) {
+      for (int k = 0; k < 3; ++k) {
+        const float value = vector[std::int64_t{k} * padded + row];
+        square += value * value;
+      }
     }
-    squares[size(row)] = square;
+    inverse_squares.data()[row] = 1.0f / square;
+    scalars.data()[row] = 0.125f * std::clamp(std::log(square), -24.0f, 6.0f) + 0.75f;
   }
-#pragma omp parallel for schedule(static) num_threads(threads)
+  inputs.vectors = vectors.data();
+  inputs.vector_count = static_cast<std::int32_t>(vectors.size());
+  inputs.scalar_count = scalar_count;
+}
+
+void NewtonProblem::move(const float* step, bool of_pass) {
   for (std::int32_t row = 0; row < free_count; ++row) {
-    double square = squares[size(row)];
-    const Index first_edge = edge_starts[size(row)], last_edge = edge_starts[size(row) + 1];
-    for (Index e = first_edge; e < last_edge; ++e) square += squares[size(edge_rows[size(e)])];
-    const float sigma = std::sqrt(static_cast<float>(square / (1 + last_edge - first_edge)) + 1e-18f);
-    sizes.data()[row] = sigma;
-    inverse_sizes.data()[row] = 1.0f / sigma;
-    own.data()[5 * row] = 0.25f * std::clamp(std::log(sigma), -12.0f, 3.0f) + 0.75f;
-    own.data()[5 * row + 1] = records.data()[std::int64_t{row} * kRecordSize + kTail + 3];
+    for (int k = 0; k < 3; ++k) {
+      const std::size_t place = 3 * size(row) + size(k);
+      positions[place] += static_cast<double>(step[std::int64_t{k} * padded + row]);
+      offsets.data()[std::int64_t{k} * row_frame.offset_stride + row] = static_cast<float>(positions[place] - inertial[place]);
+    }
   }
-  patch_frame.channel_count = static_cast<std::int32_t>(columns.size());
-  patch_frame.channel_columns = columns.data();
-}
-
-void NewtonProblem::set_step(std::int32_t row, const float* step) {
-  float* record = records.data() + std::int64_t{row} * kRecordSize;
-  for (int k = 0; k < 3; ++k) {
-    const std::size_t place = 3 * size(row) + size(k);
-    positions[place] += static_cast<double>(step[k]);
-    record[kMotion + k] = step[k];
-    record[kTail + k] = static_cast<float>(positions[place] - origin[k]);
-    offsets.data()[std::int64_t{k} * row_frame.offset_stride + row] = static_cast<float>(positions[place] - inertial[place]);
+  if (of_pass) {
+    std::copy_n(step, 3 * size(padded), motion.data());
+  } else {
+    start = positions;
   }
 }
 
-void NewtonProblem::move(const float* step) {
-  for (std::int32_t row = 0; row < free_count; ++row) set_step(row, step + 3 * std::int64_t{row});
-}
-
-void NewtonProblem::move_along_direction() {
-  for (std::int32_t row = 0; row < free_count; ++row) {
-    const float step[3] = {solution.data()[row], solution.data()[padded + row], solution.data()[2 * std::int64_t{padded} + row]};
-    set_step(row, step);
-  }
-}
+void NewtonProblem::move_along_direction() { move(solution.data(), true); }
 
 void NewtonProblem::save() {
   std::copy_n(positions.begin(), saved.size(), saved.begin());

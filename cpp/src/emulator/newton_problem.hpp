@@ -7,7 +7,6 @@
 #pragma once
 
 #include <cstdint>
-#include <string_view>
 #include <vector>
 
 #include "emulator/newton_kernel.hpp"
@@ -16,35 +15,24 @@
 
 namespace followthrough {
 
-/// Where a record's vectors are.
-enum RecordColumn : std::int32_t {
-  kDirection = 0,
-  kFirst = 3,
-  kLeft = 6,
-  kMotion = 9,
-  kSecondary = 12,
-  kAcceleration = 15,
-  kReferenceAcceleration = 18,
-  kTail = 21
-};
-inline constexpr std::int32_t kRecordSize = 32;
-
-/// @return where each letter's channel starts in a record
-std::vector<std::int32_t> channel_columns(std::string_view channels);
+/// Vectors that a guide is told, in its order (newton_patches.hpp): w a s r j q and three means; g p l m and two means.
+inline constexpr std::int32_t kStartVectors = 9, kPassVectors = 6;
+/// And other numbers.
+inline constexpr std::int32_t kStartScalars = 4, kPassScalars = 5;
 
 struct NewtonProblem {
   explicit NewtonProblem(const NewtonBody& body);
 
-  void begin(const NewtonHistory& history, double beta);
+  /// The estimate starts on y.
+  void begin(const NewtonHistory& history);
   /// @return root mean square of the first preconditioned residual
   double assemble();
   void solve(int iterations);
-  /// Rotations and mean gradients, at the estimate.
-  void find_frames();
-  /// Brings the records up to date, and what depends on the chosen channels. Sets the frame's channels.
-  void describe(const std::vector<std::int32_t>& columns);
-  /// @param step (f,3); becomes w
-  void move(const float* step);
+  /// Brings `inputs` up to date for the guide of the start, or of a pass that has been solved.
+  void describe_start();
+  void describe_pass();
+  /// @param step (3,padded); becomes m where it is a pass's
+  void move(const float* step, bool of_pass);
   void move_along_direction();
   /// Back to the estimate of `save`; the direction of then is what it moves along.
   void save();
@@ -68,25 +56,26 @@ struct NewtonProblem {
   std::vector<std::int32_t> corners, tet_starts, tet_blocks, slot_starts, slot_columns, share_starts, share_blocks, border_starts,
       border_columns;
   std::vector<std::uint32_t> slot_turned;
-  AlignedFloats gradients, materials, shares, gradient_shares, slot_masses, border_masses, masses, offsets, blocks, diagonal,
-      inverse, residual, preconditioned, directions, product, solution, first, rotations, mean_gradients, records, rest_edges,
-      sizes, inverse_sizes, own, steps, saved_solution;
-  std::vector<float> lumped_masses, half_log_stiffness;
-  std::vector<double> positions, start, inertial, saved, last, squares;  // z, its first value, y, z before a step, u(t); (rows, 3)
+  AlignedFloats gradients, materials, shares, slot_masses, border_masses, masses, offsets, blocks, diagonal, inverse, residual,
+      preconditioned, directions, product, solution, first, saved_solution;
+  // What guides are told, and what they say. Each vector is (3,padded), each number (padded,).
+  AlignedFloats history, means, records, motion, scalars, inverse_squares, steps;
+  std::vector<const float*> start_vectors, pass_vectors;
+  GuideInputs inputs{};
+  std::vector<float> lumped_masses, half_log_stiffness, nearness, fullness;
+  std::vector<double> positions, start, inertial, saved, last;  // z, its first value, y, z before a step, u(t); (rows, 3)
   std::vector<LaneSums> sums;
-  Positions now, target;      // u(t), x(t+1), m
-  Eigen::RowVector3d origin;  // of the records' z, in edges
+  Positions now, target;  // u(t), x(t+1), m
   NewtonTets tet_frame{};
   NewtonRows row_frame{};
-  NewtonPatchFrame patch_frame{};
   double residual_square = 0;  // r . D^-1 r at the start of the conjugate gradients
-  bool wants_frames = true;    // whether a frame's first evaluation prepares them
-  bool began = false, evaluated = false, frames_found = false;
+  bool began = false, evaluated = false;
 
  private:
   void arrange(const NewtonBody& body);
   double sum(int which) const;
-  void set_step(std::int32_t row, const float* step);
+  void find_nearness(const NewtonBody& body);
+  void describe(const std::vector<const float*>& vectors, std::int32_t scalar_count);
 };
 
 }  // namespace followthrough

@@ -23,13 +23,12 @@ inline void load_edges(const double* positions, const std::int32_t* corners, flo
 }
 
 // F into the rows 0 to 8 of f; clamped where the test cannot say that all stretches are far above the clamp.
-inline void deformation_gradients(const NewtonTets& tets, std::int64_t group, float (*f)[kGroup], float (*raw)[kGroup]) {
+inline void deformation_gradients(const NewtonTets& tets, std::int64_t group, float (*f)[kGroup]) {
   float edges[9][kGroup];
   load_edges(tets.positions, tets.corners + group * 4 * kGroup, edges);
   for (int lane = 0; lane < kGroup; lane += kLanes) {
     const Square gradient = load_square(&edges[0][lane], kGroup) * load_square(tets.gradients + group * 9 * kGroup + lane, kGroup);
     store(&f[0][lane], kGroup, gradient);
-    if (raw) store(&raw[0][lane], kGroup, gradient);
     const Real volume = dot(gradient.x, cofactors(gradient).x);
     unsigned sound = bits_of(real(0.05f) * square_sum(gradient) < volume);
     for (int k = 0; k < kLanes; ++k, sound >>= 1) {
@@ -110,20 +109,12 @@ inline void shares_of(const NewtonTets& tets, std::int64_t group, const float (*
 }  // namespace
 
 void tet_shares(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept {
-  float lanes[kTetShare][kGroup] = {}, gradient[9][kGroup], raw[kGroup][kGroup] = {};
+  float lanes[kTetShare][kGroup] = {}, gradient[9][kGroup];
   for (std::int64_t group = first_group; group < last_group; ++group) {
-    deformation_gradients(tets, group, gradient, tets.gradient_shares ? raw : nullptr);
+    deformation_gradients(tets, group, gradient);
     shares_of(tets, group, gradient, lanes);
     float* out = tets.shares + group * kGroup * kTetShare;
     for (int c = 0; c < kTetShare; c += kGroup) transpose_group(lanes[c], kGroup, out + c, kTetShare);
-    if (tets.gradient_shares) {
-      const float* volumes = tets.materials + group * 4 * kGroup;
-      for (int c = 0; c < 9; ++c) {
-        for (int lane = 0; lane < kGroup; ++lane) raw[c][lane] *= volumes[lane];
-      }
-      for (int lane = 0; lane < kGroup; ++lane) raw[9][lane] = volumes[lane];
-      transpose_group(raw[0], kGroup, tets.gradient_shares + group * kGroup * kGradientShare, kGradientShare);
-    }
   }
 }
 

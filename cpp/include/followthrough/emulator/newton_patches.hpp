@@ -1,35 +1,33 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
-/// What a network that corrects Newton steps sees of a frame: the backward Euler problem at an estimate of u(t+1), a truncated
-/// Newton direction, and both as numbers of each free vertex and its neighbours in the vertex's own frame. Training drives it a
-/// pass at a time; PatchNewton (patch_newton.hpp) does the same in one go.
+/// What the guides of a frame see (patch_newton.hpp): the backward Euler problem at an estimate of u(t+1), a truncated Newton
+/// direction, and vectors and numbers of each free vertex. Training drives it a pass at a time; PatchNewton does the same in one go.
 ///
 /// Lengths are in edges L, times in frames h, masses in rho L^3 with rho the mean density, so that a tet's modulus is
 /// s = E h^2 / (rho L^2). The elastic energy is material.hpp's: St. Venant-Kirchhoff, compression resistance, stretches clamped at
 /// 0.1; M(z - y) + f(z) is the gradient at z, y = 2 u(t) - u(t-1), with the consistent mass matrix. The tangent is made convex
 /// (Irving et al. 2004): no stress term where the stress is not positive definite, none of the pressure's own.
 ///
-/// The estimate starts at y + beta w on free vertices, w = [x(t+1) - x(t)] - [u(t) - u(t-1)], and at x(t+1) on constrained ones.
-/// A direction is a few iterations of conjugate gradients on the tangent, preconditioned by its 3x3 diagonal blocks.
+/// The estimate starts at y on free vertices, and at x(t+1) on constrained ones. A direction is a few iterations of conjugate
+/// gradients on the tangent, preconditioned by its 3x3 diagonal blocks.
 ///
-/// Channels are vectors of every vertex, each a letter:
-///   g  the direction                                    w  w at the first pass, afterwards the last pass's step
-///   p  the first preconditioned residual                s  u(t) - x(t)
-///   l  the preconditioned residual that is left         a  u(t) - 2 u(t-1) + u(t-2)
-///                                                       r  x(t+1) - 2 x(t) + x(t-1)
-/// g, p, l, w are zero on constrained vertices. R is the rotation nearest to F, the mean deformation gradient of the tets around a
-/// free vertex weighted by volume, both of the first pass. sigma is the root of the mean, over the vertex and its neighbours, of
-/// the sum of the channels' squares. What the network is told, c being the number of channels:
-///   an edge (3c+8)     R^T v_j / sigma of each channel; R^T (z_j - z_i) - E, within 3; E, the rest edge; 1 where j is constrained;
-///                      half d_j
-///   a centre (3c+17)   R^T v_i / sigma of each channel; log(sigma) / 4 + 0.75, between -2.25 and 1.5; half d_i; half log(s_i);
-///                      2 (sym(R^T F) - 1) as xx yy zz xy xz yz; likewise R^T D R over a third of its trace, minus 1, both within
-///                      4; the lumped mass m_i; number of neighbours / 12 - 1
-/// where D is the tangent's diagonal block and d = log(trace(D) / 3 / m), 0 on constrained vertices.
+/// Vectors that the guide of the start is told, in this order:
+///   w  [x(t+1) - x(t)] - [u(t) - u(t-1)]            r  x(t+1) - 2 x(t) + x(t-1)
+///   a  u(t) - 2 u(t-1) + u(t-2)                      j  u(t) - 3 u(t-1) + 3 u(t-2) - u(t-3)
+///   s  u(t) - x(t)                                   q  x(t) - 2 x(t-1) + x(t-2)
+///   and of w, a, s the mean over the neighbours minus the vertex's own
+/// and that of a pass:
+///   g  the direction                                 l  the preconditioned residual that is left
+///   p  the first preconditioned residual             m  the last pass's step
+///   and of g, l the mean over the neighbours minus the vertex's own
+/// Constrained neighbours have w = x(t+1) - y and g = l = 0. Numbers: log(sum of the vectors' squares) / 8 + 0.75, the logarithm
+/// between -24 and 6; in a pass half of log(trace(D) / 3 / m), D being the tangent's diagonal block and m the lumped mass; half of
+/// log(s) at the vertex and 1 / (1 + n), n tets being between it and the nearest constrained vertex, 20 at most (at the start in the
+/// other order); number of neighbours / 14 - 1.
 #pragma once
 
+#include <array>
 #include <memory>
-#include <string_view>
 #include <vector>
 
 #include "followthrough/emulator/emulator.hpp"
@@ -47,18 +45,23 @@ struct NewtonBody : EmulatedBody {
 
 /// Positions that a frame starts from, m, each (n,3).
 struct NewtonHistory {
-  ConstPositions now, before, before_that;                         ///< u(t), u(t-1), u(t-2)
-  ConstPositions reference_before, reference_now, reference_next;  ///< x(t-1), x(t), x(t+1)
+  std::array<ConstPositions, 4> dynamic;    ///< u(t), u(t-1), u(t-2), u(t-3)
+  std::array<ConstPositions, 4> reference;  ///< x(t+1), x(t), x(t-1), x(t-2)
 };
 
-/// Numbers of free vertices (f of them, in the order of NewtonPatches::free_vertices) and their edges.
+/// Of free vertices, f of them, in the order of NewtonPatches::free_vertices.
 struct PatchFeatures {
   using Rows = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-  Rows edges;             ///< (edges, 3c+8)
-  Rows centres;           ///< (f, 3c+17)
-  Eigen::VectorXf sizes;  ///< (f,) sigma
-  Rows rotations;         ///< (f, 9) R, row by row
+  Rows vectors;  ///< (f, 3 v), v of them one after the other
+  Rows scalars;  ///< (f, k)
 };
+
+/// How many vectors and numbers a guide is told.
+struct GuideSize {
+  int vectors, scalars;
+};
+GuideSize start_guide_size();
+GuideSize pass_guide_size();
 
 class NewtonPatches {
  public:
@@ -82,18 +85,21 @@ class NewtonPatches {
   const std::vector<Index>& neighbours() const;
 
   /// @brief Starts a frame.
-  /// @param beta share of w in the first estimate, 0 to 1
   /// @throws InvalidInput on wrong shapes or numbers that are not finite
-  void begin(const NewtonHistory& history, double beta);
+  void begin(const NewtonHistory& history);
+  /// What the guide of the start is told.
+  /// @throws InvalidInput before begin
+  PatchFeatures start_features();
   /// @brief Gradient, tangent and direction at the estimate.
   /// @param iterations of the conjugate gradients, at most; they stop at 0.003 of the first residual
   /// @return the root mean square, over free components, of the first preconditioned residual, in edges
   double evaluate(int iterations);
-  /// @throws InvalidInput on an unknown channel, or none, or before evaluate
-  PatchFeatures features(std::string_view channels);
+  /// What a pass's guide is told.
+  /// @throws InvalidInput before evaluate
+  PatchFeatures features();
   /// (f,3) the direction, edges.
   Steps direction() const;
-  /// @brief Moves the free vertices of the estimate; the step is the next pass's w.
+  /// @brief Moves the free vertices of the estimate. After evaluate, the step is the next pass's m.
   /// @param step (f,3) edges
   void move(const Steps& step);
   /// (n,3) the estimate, m.
@@ -102,8 +108,5 @@ class NewtonPatches {
  private:
   std::unique_ptr<NewtonProblem> problem_;
 };
-
-/// @throws InvalidInput naming the letter, where there is none or one is no channel or there twice
-void require_channels(std::string_view argument, std::string_view channels);
 
 }  // namespace followthrough

@@ -1,17 +1,15 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
-/// Dynamics by truncated Newton steps that a network corrects. A frame is backward Euler's (newton_patches.hpp), solved in a few
-/// passes: a direction by a few iterations of conjugate gradients, then, where the pass has a network, the step that it makes of
-/// the direction and of what lies around each vertex. A pass without a network steps along the direction. All of it is made of
-/// differences, so what is at rest stays there, and what is moved or turned as a whole moves and turns the same.
+/// Dynamics by truncated Newton steps that small networks guide. A frame is backward Euler's (newton_patches.hpp). A guide makes its
+/// first estimate of the last frames; then come a few passes, each a direction by a few iterations of conjugate gradients and a guide
+/// that makes the step of it. Passes end as soon as little is left to do. A pass without a guide steps along the direction.
 ///
-/// The network of a pass, with E the inputs of an edge and C those of a centre: h = tanh(W_e E + W_c C + b), further layers
-/// h = tanh(W h + b); an eighth of the sum of h over the neighbours, joined with C, goes through layers of the same kind; the step
-/// is sigma R (W_o h + skip v), v being the centre's first channel in its own frame.
+/// A guide is a perceptron at every free vertex. It makes the coefficients of a weighted sum of the vectors of newton_patches.hpp,
+/// from their products (the signed root of |v_a . v_b| over the sum of the vectors' squares, plus 1e-9 where that is not zero) and a
+/// few numbers. So what is moved or turned as a whole moves and turns the same, and what is at rest stays there.
 #pragma once
 
 #include <memory>
-#include <string>
 #include <vector>
 
 #include "followthrough/emulator/newton_patches.hpp"
@@ -20,28 +18,25 @@
 
 namespace followthrough {
 
-struct NewtonPass {
-  int iterations = 0;                ///< of the conjugate gradients, at most
-  std::string channels;              ///< newton_patches.hpp; empty: a pass without a network, and nothing below
-  std::vector<DenseLayer> edge;      ///< the first one takes 3c+8 numbers and has no bias
-  DenseLayer centre;                 ///< 3c+17 numbers to as many as the first of `edge`
-  std::vector<DenseLayer> instance;  ///< the first one takes the last of `edge`, then the 3c+17
-  DenseLayer out;                    ///< to 3 numbers; no bias
-  float skip = 0;
+/// A tanh after every layer but the last. v vectors and k numbers make v (v + 1) / 2 + k inputs, and there are v outputs.
+using Guide = std::vector<DenseLayer>;
 
-  bool has_network() const { return !channels.empty(); }
+struct NewtonPass {
+  int iterations = 0;  ///< of the conjugate gradients, at most
+  Guide guide;         ///< of 6 vectors and 5 numbers; none: the step is the direction
 };
 
 struct NewtonSchedule {
-  std::vector<NewtonPass> passes;
-  double beta = 0.5;          ///< where a frame starts (newton_patches.hpp), 0 to 1
-  int extra_passes = 0;       ///< without a network, after the others: each takes the frame nearer to backward Euler's own answer
+  Guide start;                     ///< of 9 vectors and 4 numbers
+  std::vector<NewtonPass> passes;  ///< the last one is repeated; none: the first estimate is the frame
+  int most_passes = 4;
+  double tolerance = 1e-3;    ///< edges: passes end where the first preconditioned residual's root mean square is below it
+  int extra_passes = 0;       ///< without a guide, after the others: each takes the frame nearer to backward Euler's own answer
   int extra_iterations = 16;  ///< of each of them
 };
 
-/// @throws InvalidInput where layers do not fit each other or the inputs above, hold a number that is not finite, or a number of
-/// passes
-///   or iterations is out of range; `passes.0.edge.1.weight` and the like name the place
+/// @throws InvalidInput where layers do not fit each other or their inputs, hold a number that is not finite, or a number is out of
+///   range; `passes.0.guide.1.weight` and the like name the place
 void require_schedule(const NewtonSchedule& schedule);
 
 class PatchNewton final : public Solver {
@@ -56,7 +51,7 @@ class PatchNewton final : public Solver {
   Eigen::Index free_vertex_count() const;
   /// Neighbours of all free vertices, together.
   Eigen::Index edge_count() const;
-  /// Multiply-adds of one step's networks and conjugate gradients.
+  /// Multiply-adds of the guides and conjugate gradients of a step with as many passes as `passes` has.
   double multiply_adds() const;
   /// m: the scene's L.
   double edge_length() const;
@@ -67,7 +62,7 @@ class PatchNewton final : public Solver {
   /// @param next_reference not used
   const Positions& step(ConstPositions reference, const Positions* next_reference = nullptr) override;
 
-  /// As Emulator's.
+  /// u(t) to u(t-3), x(t) to x(t-2); frames since the reset.
   SolverState state() const override;
   void restore(const SolverState& state) override;
 
