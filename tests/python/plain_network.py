@@ -109,3 +109,36 @@ class PlainNetwork:
                 joined.append(evaluate(self.parameters, name, np.concatenate(edges, axis=1)).sum(axis=0))
             result[i] = u0[i] + evaluate(self.parameters, "instance_mlp", np.concatenate(joined))
         return result
+
+
+def random_newton_parameters(
+    seed: int, channels: dict[int, str], *, edge: tuple[int, ...] = (12, 8), instance: tuple[int, ...] = (16,)
+) -> dict[str, np.ndarray]:
+    """Random parameters of corrected Newton passes; `channels` of each pass that has a network."""
+    random = np.random.default_rng(seed)
+
+    def weight(outputs: int, inputs: int, gain: float = 1.0) -> np.ndarray:
+        return (gain * random.normal(size=(outputs, inputs)) / np.sqrt(inputs)).astype(np.float32)
+
+    def bias(outputs: int) -> np.ndarray:
+        return (0.1 * random.normal(size=outputs)).astype(np.float32)
+
+    parameters = {}
+    for number, letters in channels.items():
+        place, vectors = f"passes.{number}", 3 * len(letters)
+        width = vectors + 8
+        for k, outputs in enumerate(edge):
+            parameters[f"{place}.edge.{k}.weight"] = weight(outputs, width)
+            if k:
+                parameters[f"{place}.edge.{k}.bias"] = bias(outputs)
+            width = outputs
+        parameters[f"{place}.centre.weight"] = weight(edge[0], vectors + 17)
+        parameters[f"{place}.centre.bias"] = bias(edge[0])
+        width += vectors + 17
+        for k, outputs in enumerate(instance):
+            parameters[f"{place}.instance.{k}.weight"] = weight(outputs, width)
+            parameters[f"{place}.instance.{k}.bias"] = bias(outputs)
+            width = outputs
+        parameters[f"{place}.out.weight"] = weight(3, width, 0.05)
+        parameters[f"{place}.skip"] = np.array([0.9], np.float32)
+    return parameters

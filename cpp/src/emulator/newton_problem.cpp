@@ -195,12 +195,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   groups = (free_count + kNewtonGroup - 1) / kNewtonGroup;
   padded = groups * kNewtonGroup;
   for (Eigen::Index v = 0; v < count; ++v) {
-    if (row_of[size(v)] < 0) {
-      if (!body.constrained[v]) {
-        throw InvalidInput("tets", "found no volume around the free vertex " + std::to_string(v) + ", expected it to have mass");
-      }
-      unused.push_back(static_cast<Index>(v));
-    }
+    if (row_of[size(v)] < 0) unused.push_back(static_cast<Index>(v));
   }
 
   // Tets with a free corner, in the order of their lowest row.
@@ -269,6 +264,12 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   std::sort(pairs.begin(), pairs.end(), [](const Pair& a, const Pair& b) {
     return a.row != b.row ? a.row < b.row : a.other != b.other ? a.other < b.other : a.share < b.share;
   });
+
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    if (!around[size(row)].empty()) continue;
+    throw InvalidInput(
+        "tets", "found no volume around the free vertex " + std::to_string(vertices[size(row)]) + ", expected it to have mass");
+  }
 
   // Neighbours, ascending: free ones come first.
   struct Neighbour {
