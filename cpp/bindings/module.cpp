@@ -26,4 +26,5 @@ PYBIND11_MODULE(_core, m) {
   followthrough::bind_springs(m);
   followthrough::bind_quasistatic(m);
   followthrough::bind_emulator(m);
+  followthrough::bind_controls(m);
 }

@@ -43,6 +43,9 @@ class Emulator(Solver):
         Seconds a frame.
     weights
         The network.
+    gravity
+        m/s². The network is shown the scene from a frame of reference that falls, where bodies have no weight, so it need not have
+        learned any.
     edge_length
         Edge of the cubes that the tets fill, m; None: that of cubes of six tets with the median tet's volume.
 
@@ -62,6 +65,7 @@ class Emulator(Solver):
         dt: float,
         weights: EmulatorWeights,
         *,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
         edge_length: float | None = None,
     ) -> None:
         rest = array_checks.positions("rest_positions", rest_positions)
@@ -84,12 +88,20 @@ class Emulator(Solver):
             trained_on.edge_length,
             trained_on.dt,
             trained_on.density,
+            array_checks.vector3("gravity", gravity),
         )
         super().__init__(core)
         self._warn_outside(self.stiffness[~pinned], trained_on.stiffness_range)
 
     @classmethod
-    def of_sequence(cls, sequence: Sequence, weights: EmulatorWeights, *, edge_length: float | None = None) -> Self:
+    def of_sequence(
+        cls,
+        sequence: Sequence,
+        weights: EmulatorWeights,
+        *,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+        edge_length: float | None = None,
+    ) -> Self:
         """The emulator of the volume that a sequence describes; warns where its material is not the one that was learned."""
         for name in ("poisson_ratio", "compression_resistance"):
             found, learned = getattr(sequence, name), getattr(weights.trained_on, name)
@@ -105,6 +117,7 @@ class Emulator(Solver):
             sequence.density,
             sequence.dt,
             weights,
+            gravity=gravity,
             edge_length=edge_length,
         )
 

@@ -99,7 +99,7 @@ class DenseRows {
 
 }  // namespace
 
-Springs::Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMask pinned)
+Springs::Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMask pinned, const Eigen::Vector3d& gravity)
     : stiffness_(stiffness), damping_(damping), dt_(dt) {
   if (!(std::isfinite(dt) && dt > 0.0)) {
     throw InvalidInput("dt", "found " + std::to_string(dt) + ", expected a positive number of seconds");
@@ -115,6 +115,23 @@ Springs::Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMas
         pinned_.push_back(static_cast<Index>(v));
       }
     }
+  }
+  require_finite("gravity", gravity.transpose());
+  if (!gravity.isZero(0.0)) {
+    sag_.setZero(count, 3);
+    auto pin = pinned_.begin();
+    for (Eigen::Index v = 0; v < count; ++v) {
+      if (pin != pinned_.end() && *pin == v) {
+        ++pin;
+        continue;
+      }
+      if (stiffness_[v] == 0.0) {
+        throw InvalidInput("gravity", "found some, and a stiffness of 0 at vertex " + std::to_string(v) +
+                                          ", expected springs that hold every vertex (it would fall for ever)");
+      }
+      sag_.row(v) = gravity.transpose() / stiffness_[v];
+    }
+    require_finite("gravity", sag_);
   }
   factors_.setZero((count + factor_group - 1) / factor_group * factor_count, factor_group);
   for_blocks(count, coefficients_cost, [&](Eigen::Index first, Eigen::Index last) {
@@ -179,7 +196,10 @@ const Positions& Springs::step(ConstPositions reference, const Positions* next_r
         frame.velocities[i] = (frame.end[i] - frame.start[i]) / dt_;
       }
     }
+    const bool sags = sag_.rows() > 0;
+    if (sags) positions_.middleRows(first, last - first) -= sag_.middleRows(first, last - first);
     springs_step(frame, first, last);
+    if (sags) positions_.middleRows(first, last - first) += sag_.middleRows(first, last - first);
     const auto pin = std::lower_bound(pinned_.begin(), pinned_.end(), first);
     for (auto p = pin; p != pinned_.end() && *p < last; ++p) {
       for (Eigen::Index i = 3 * Eigen::Index{*p}; i < 3 * Eigen::Index{*p} + 3; ++i) {
@@ -221,8 +241,9 @@ Positions Springs::evaluate(double fraction, ConstPositions reference, const Pos
         continue;
       }
       const Eigen::Vector3d velocity = frames_ == 0 ? start_velocity : Eigen::Vector3d(velocities_.row(v).transpose());
-      const Particle particle{positions_.row(v).transpose(), velocity};
-      result.row(v) = advance(particle, target, 0.0, fraction * dt_, stiffness_[v], damping_[v]).position.transpose();
+      const Eigen::Vector3d sag = sag_.rows() > 0 ? Eigen::Vector3d(sag_.row(v)) : Eigen::Vector3d::Zero();
+      const Particle particle{positions_.row(v).transpose() - sag, velocity};
+      result.row(v) = (advance(particle, target, 0.0, fraction * dt_, stiffness_[v], damping_[v]).position + sag).transpose();
     }
   });
   return result;
