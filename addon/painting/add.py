@@ -5,6 +5,7 @@ import bpy
 from bpy.types import Operator
 
 from followthrough.blender import PINS_GROUP, add_groups, why_not_bakeable
+from followthrough.settings import default_solver
 
 from ..characters import active_mesh
 
@@ -46,6 +47,7 @@ class FOLLOWTHROUGH_OT_add(Operator):
             settings.made_groups.add().name = name
         if PINS_GROUP not in settings.pin_groups:
             settings.pin_groups.add().name = PINS_GROUP
+        settings.solver = default_solver()  # said, so that the file keeps it
         settings.frame_start, settings.frame_end = context.scene.frame_start, context.scene.frame_end
         settings.is_added = True
         self.report({"INFO"}, f"Created {', '.join(created)}" if created else "The mesh has its groups already")

@@ -16,12 +16,13 @@ from bpy.props import (
 )
 from bpy.types import PropertyGroup
 
-from followthrough.settings import SimulationSettings, SpringSettings, VolumeSettings
+from followthrough.settings import EmulatorSettings, SimulationSettings, SpringSettings, VolumeSettings
 
 _SPRINGS = SpringSettings()
 _VOLUME = VolumeSettings()
 
 _SIMULATION = SimulationSettings()
+_EMULATOR = EmulatorSettings()
 
 #: Blender knows hertz since 4.5; before that the name says the unit.
 _KNOWS_HERTZ = "FREQUENCY" in bpy.types.Property.bl_rna.properties["unit"].enum_items
@@ -174,8 +175,15 @@ class FollowthroughSettings(PropertyGroup):
         name="Solver",
         description="What makes the flesh move",
         items=(
-            ("springs", "Springs", "Every bit of flesh swings on a spring of its own: instant, always stable"),
-            ("implicit-euler", "Simulation", "Elastic flesh that pulls on its neighbours and keeps its volume: slower"),
+            # Files know them by number, and those of before the emulator left the default unsaid.
+            ("springs", "Springs", "Every bit of flesh swings on a spring of its own: instant, always stable", 0),
+            ("emulator", "Emulator", "A network that has learned the simulation: nearly its motion, in less time", 2),
+            (
+                "implicit-euler",
+                "Simulation",
+                "Elastic flesh that pulls on its neighbours and keeps its volume: slower",
+                1,
+            ),
         ),
         default="springs",
     )
@@ -236,6 +244,32 @@ class FollowthroughSettings(PropertyGroup):
             ("converged", "Converged", "Exact, several times slower"),
         ),
         default=_SIMULATION.quality,
+    )
+
+    corrections: IntProperty(  # type: ignore[valid-type]
+        name="Corrections",
+        description=(
+            "How often the simulation improves each frame that the emulator has predicted, at most: more is more exact and slower"
+        ),
+        default=_EMULATOR.corrections,
+        min=0,
+        soft_max=3,
+        max=100,
+    )
+    weights: StringProperty(  # type: ignore[valid-type]
+        name="Weights",
+        description="File of the emulator's trained weights; where it is empty, those that come with Followthrough",
+        subtype="FILE_PATH",
+    )
+    amplitude: FloatProperty(  # type: ignore[valid-type]
+        name="Amplitude",
+        description="How far the motion goes, at the same timing: 0 is the armature alone, 1 what the solver says",
+        default=1.0,
+        min=0.0,
+        max=100.0,
+        soft_max=2.0,
+        step=1,
+        precision=2,
     )
 
     cells: IntProperty(  # type: ignore[valid-type]

@@ -8,6 +8,7 @@ from bpy.types import Panel
 
 from followthrough.blender import baked_range, why_not_bakeable
 
+from ..bake.cautions import FOLLOWTHROUGH_OT_use_simulation, caution_about
 from ..bake.clear import FOLLOWTHROUGH_OT_clear
 from ..bake.operator import FOLLOWTHROUGH_OT_bake
 from ..bake.session import BakeSession, running
@@ -86,12 +87,24 @@ def draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         return
     start = scene.frame_start if frames.start is None else frames.start
     end = scene.frame_end if frames.end is None else frames.end
+    draw_cautions(layout, context, characters)
     text = f"Bake {end - start + 1} Frames"
     if len(characters) > 1:
         text += f" of {len(characters)} Meshes"
     row = layout.row()
     row.scale_y = 1.4
     row.operator(FOLLOWTHROUGH_OT_bake.bl_idname, text=text, icon="PHYSICS")
+
+
+def draw_cautions(layout: bpy.types.UILayout, context: bpy.types.Context, characters: list[bpy.types.Object]) -> None:
+    """What the emulator has not learned, and the simulation, which can do it, a click away."""
+    texts = [(obj.name, caution_about(obj, context.scene)) for obj in characters]
+    told = [f"{name}: {text}" if len(characters) > 1 else text for name, text in texts if text]
+    if told:
+        box = layout.box()
+        for text in told:
+            draw_text(box, context, text, icon="ERROR")
+        box.operator(FOLLOWTHROUGH_OT_use_simulation.bl_idname, icon="PHYSICS")
 
 
 def draw_baked(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:

@@ -84,9 +84,13 @@ class FOLLOWTHROUGH_PT_motion(_CharacterPanel, Panel):
         for name in ("modulus_soft", "modulus_stiff") if simulated else ("frequency_soft", "frequency_stiff"):
             column.prop(settings, name)
         layout.prop(settings, "simulation_damping" if simulated else "damping_ratio")
-        if simulated:
-            layout.prop(settings, "gravity")
+        layout.prop(settings, "gravity")
+        layout.prop(settings, "amplitude")
+        if settings.solver == "implicit-euler":
             layout.prop(settings, "quality")
+        elif settings.solver == "emulator":
+            layout.prop(settings, "corrections")
+            layout.prop(settings, "weights")
 
 
 class FOLLOWTHROUGH_PT_frames(_CharacterPanel, Panel):

@@ -23,6 +23,8 @@ Layers = list[tuple[Float32Array, Float32Array | None]]
 #: The key that holds what is not a parameter, as JSON text.
 METADATA_KEY = "followthrough"
 FORMAT = 1
+#: The weights that come with the package.
+SHIPPED = Path(__file__).parent / "weights" / "emulator.npz"
 PERCEPTRONS = ("point_mlp", "edge_mlp", "edge_mlp_2", "edge_mlp_3", "instance_mlp")
 
 
@@ -133,6 +135,22 @@ class EmulatorWeights:
         return layers
 
     @classmethod
+    def shipped(cls) -> Self:
+        """The weights that come with the package.
+
+        Raises
+        ------
+        ValueError
+            Where this version brings none; `are_shipped` asks.
+        """
+        if not are_shipped():
+            raise ValueError(
+                "weights: this version of followthrough brings none for the emulator, expected a weights file "
+                "(followthrough dataset and followthrough train make one), or another solver: implicit-euler (Simulation) or springs"
+            )
+        return cls.load(SHIPPED)
+
+    @classmethod
     def load(cls, path: Path | str) -> Self:
         """Read a weights file; one without metadata is taken for a network of the paper.
 
@@ -186,6 +204,11 @@ class EmulatorWeights:
 
 
 KINDS = ("weight", "bias")
+
+
+def are_shipped() -> bool:
+    """Whether weights come with the package; the emulator is then what bakes unless another solver is chosen."""
+    return SHIPPED.is_file()
 
 
 def _checked(name: str, array: NDArray[Any]) -> Float32Array:

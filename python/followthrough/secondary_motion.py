@@ -13,7 +13,8 @@ import numpy as np
 
 from followthrough import _core
 from followthrough.character import BonePose, FloatArray, Paint, Pose, Surface
-from followthrough.elastic import ImplicitEuler
+from followthrough.controls import Amplified
+from followthrough.emulated_flesh import caution, make_emulated_flesh
 from followthrough.flesh import loose_vertices, make_flesh
 from followthrough.settings import Settings, SpringSettings
 from followthrough.solver import Solver
@@ -56,9 +57,14 @@ def make_solver(volume: Volume, settings: Settings, dt: float) -> Solver:
     ValueError
         Where it cannot be made for this volume.
     """
+    solver: Solver
     if settings.solver == "implicit-euler":
-        return make_flesh(volume, settings.simulation, dt)
-    return make_springs(volume, settings.springs, dt)
+        solver = make_flesh(volume, settings.simulation, dt)
+    elif settings.solver == "emulator":
+        solver = make_emulated_flesh(volume, settings.simulation, settings.emulator, dt)
+    else:
+        solver = make_springs(volume, settings.springs, dt)
+    return solver if settings.amplitude == 1.0 else Amplified(solver, settings.amplitude)
 
 
 def make_springs(volume: Volume, settings: SpringSettings, dt: float) -> Springs:
@@ -79,6 +85,7 @@ def make_springs(volume: Volume, settings: SpringSettings, dt: float) -> Springs
         damping=unit_damping / mass / np.sqrt(free),
         dt=dt,
         pinned=volume.pinned,
+        gravity=(0.0, 0.0, -settings.gravity * volume.surface.size),
     )
 
 
@@ -107,7 +114,7 @@ class RiggedMotion:
             minimum_stretch,
             solver.core,
             # Springs leave the other cores to Blender, which works on the next pose meanwhile.
-            0 if isinstance(solver, ImplicitEuler) else 1,
+            1 if solver.is_quick else 0,
         )
 
     def reset(self, pose: Pose) -> None:
@@ -139,7 +146,7 @@ class RiggedMotion:
     def _frame(self, result: tuple[FloatArray, FloatArray, float, float]) -> Frame:
         offsets, displacements, largest_displacement, largest_residual = result
         return Frame(
-            offsets, displacements, largest_displacement, largest_residual, converged=_has_converged(self._solver)
+            offsets, displacements, largest_displacement, largest_residual, converged=self._solver.converged
         )
 
     def _poses(self, pose: Pose, next_pose: Pose | None) -> tuple[Any, Any]:
@@ -159,16 +166,14 @@ class RiggedMotion:
         return _core.RigPose(_matrices(pose.bone_matrices), armature, pose.world)
 
 
-def _has_converged(solver: Solver) -> bool:
-    return not isinstance(solver, ImplicitEuler) or solver.last_step.converged
-
-
 def _matrices(matrices: FloatArray) -> FloatArray:
     return np.ascontiguousarray(matrices, dtype=np.float64).reshape(-1, 16)
 
 
 class SecondaryMotion:
     """Drives one solver with a character's poses.
+
+    `caution` is a sentence for the artist where the solver is asked for more than it can do (`emulated_flesh.caution`), or empty.
 
     Parameters
     ----------
@@ -191,6 +196,7 @@ class SecondaryMotion:
         self.settings = settings
         self.volume = build_volume(surface, paint, settings.volume)
         self.solver = make_solver(self.volume, settings, dt)
+        self.caution = caution(surface, paint, settings, dt)
         self._rigged = None if surface.rig is None else RiggedMotion(self.volume, self.solver, settings.minimum_stretch)
         self._ahead: tuple[Pose, FloatArray] | None = None
         self._threads: concurrent.futures.ThreadPoolExecutor | None = None
@@ -277,7 +283,7 @@ class SecondaryMotion:
         self._ahead = None if next_pose is None else (next_pose, self.volume.reference(next_pose))
         dynamic = self.solver.step(reference, None if self._ahead is None else self._ahead[1])
         displacements = self.volume.surface_displacements(dynamic, reference)
-        return Frame(None, displacements, _longest(displacements), 0.0, _has_converged(self.solver))
+        return Frame(None, displacements, _longest(displacements), 0.0, self.solver.converged)
 
 
 def _longest(vectors: FloatArray) -> float:

@@ -15,6 +15,7 @@ Messages of `NotBakeableError` and of every other `ValueError` are meant for the
 
 from followthrough.blender.bake import Bake, FrameRange, ObjectSettings, Progress
 from followthrough.blender.bake_report import BakeReport, ObjectReport
+from followthrough.blender.cautions import caution_before_bake
 from followthrough.blender.groups import (
     MASS_GROUP,
     PINS_GROUP,
@@ -46,6 +47,7 @@ __all__ = [
     "action_frames",
     "add_groups",
     "baked_range",
+    "caution_before_bake",
     "clear",
     "read_paint",
     "read_surface",

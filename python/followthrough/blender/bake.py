@@ -143,6 +143,11 @@ class Bake:
         searched = self.end - self.start + 1 if self._searched else 0
         return len(self._schedule) + searched
 
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """Sentences for the artist about what the solvers are not made for, known before anything is simulated; usually none."""
+        return tuple(f"{made.name}: {made.motion.caution}" for made in self._characters if made.motion.caution)
+
     def run(self, patience: float | None = None) -> Iterator[Progress]:
         """Simulate, one frame a step, and then search offsets where bones do not tell them. Leaving the loop early cancels.
 
@@ -403,6 +408,7 @@ class Bake:
             evaluations_per_frame=character.evaluations / len(character.offsets),
             loose_vertices=character.motion.loose_vertex_count,
             unconverged=tuple(sorted(character.unconverged)),
+            caution=character.motion.caution,
         )
 
 

@@ -12,13 +12,22 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from followthrough.cli import solver_options
 from followthrough.cli.progress import with_progress
 from followthrough.elastic import QUALITIES
-from followthrough.settings import SOLVERS, Settings, SimulationSettings, SpringSettings, VolumeSettings
+from followthrough.settings import (
+    SOLVERS,
+    EmulatorSettings,
+    Settings,
+    SimulationSettings,
+    SpringSettings,
+    VolumeSettings,
+    default_solver,
+)
 
 if TYPE_CHECKING:
     import bpy
@@ -83,8 +92,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--solver",
         metavar="NAME",
-        default=SOLVERS[0],
-        help=f"dynamics: {SOLVERS[0]} (default), or {SOLVERS[1]}: simulated flesh, finite elements",
+        default=default_solver(),
+        help=f"dynamics: {', '.join(SOLVERS[:-1])} (a network that has learned simulated flesh), or {SOLVERS[-1]} "
+        "(simulated flesh, finite elements) (default %(default)s)",
     )
     _add_solver_arguments(parser)
     parser.add_argument(
@@ -104,9 +114,16 @@ def _add_solver_arguments(parser: argparse.ArgumentParser) -> None:
         "--damping-ratio",
         metavar="Z",
         type=float,
-        help=f"share of critical damping (default {springs.damping_ratio:g}; of implicit-euler {flesh.damping_ratio:g}, "
+        help=f"share of critical damping (default {springs.damping_ratio:g}; of emulator and implicit-euler {flesh.damping_ratio:g}, "
         "beside what backward Euler damps by itself)",
     )
+    parser.add_argument(
+        "--gravity",
+        metavar="G",
+        type=float,
+        help=f"downwards, m/s² for a character 1 m long (default {flesh.gravity:g})",
+    )
+    solver_options.add_amplitude_argument(parser)
     group = parser.add_argument_group("springs")
     group.add_argument(
         "--stiffness",
@@ -116,7 +133,7 @@ def _add_solver_arguments(parser: argparse.ArgumentParser) -> None:
         f"(default {springs.stiffness_range[0]:g}:{springs.stiffness_range[1]:g})",
     )
     group.add_argument("--damping", metavar="KD", type=float, help="spring damping, 1/s, the same everywhere")
-    group = parser.add_argument_group("implicit-euler")
+    group = parser.add_argument_group("emulator and implicit-euler")
     group.add_argument(
         "--youngs-modulus",
         metavar="E or LOW:HIGH",
@@ -131,19 +148,17 @@ def _add_solver_arguments(parser: argparse.ArgumentParser) -> None:
         help="kg/m³: one for all, or those of paint 0 and 1 "
         f"(default {flesh.density_range[0]:g}:{flesh.density_range[1]:g})",
     )
-    group.add_argument(
-        "--gravity",
-        metavar="G",
-        type=float,
-        help=f"downwards, m/s² for a character 1 m long (default {flesh.gravity:g})",
-    )
+    group = parser.add_argument_group("emulator")
+    solver_options.add_weights_arguments(group)
+    group = parser.add_argument_group("implicit-euler")
     group.add_argument("--quality", choices=QUALITIES, help=f"how exact a frame is (default {flesh.quality})")
 
 
 #: Solver -> the options that it has.
 _OPTIONS = {
-    "springs": ("stiffness", "damping", "damping_ratio"),
-    "implicit-euler": ("youngs_modulus", "density", "gravity", "quality", "damping_ratio"),
+    "springs": ("stiffness", "damping"),
+    "emulator": ("youngs_modulus", "density", "weights", "corrections"),
+    "implicit-euler": ("youngs_modulus", "density", "quality"),
 }
 
 
@@ -151,7 +166,7 @@ def _motion_settings(args: argparse.Namespace) -> Settings:
     solver_options.check_owners(args, _OPTIONS)
     if args.damping is not None and args.damping_ratio is not None:
         raise ValueError("--damping: found together with --damping-ratio, expected one of them")
-    springs = {"stiffness_range": args.stiffness, "damping": args.damping}
+    springs = {"stiffness_range": args.stiffness, "damping": args.damping, "gravity": args.gravity}
     flesh = {
         "youngs_modulus_range": args.youngs_modulus,
         "density_range": args.density,
@@ -164,6 +179,8 @@ def _motion_settings(args: argparse.Namespace) -> Settings:
         solver=args.solver,
         springs=SpringSettings(**_given(springs)),
         simulation=SimulationSettings(**_given(flesh)),
+        emulator=EmulatorSettings(weights=args.weights, corrections=args.corrections or 0),
+        amplitude=args.amplitude,
     )
 
 
@@ -280,6 +297,8 @@ def _bake(scene: bpy.types.Scene, objects: dict[str, ObjectSettings], frames: Fr
     from followthrough import blender
 
     bake = blender.Bake(scene, objects, frames)
+    for caution in bake.cautions:
+        print(f"followthrough: warning: {caution}", file=sys.stderr)
     for _ in with_progress(_Steps(bake), "bake", quiet=quiet):
         pass
     return bake.finish()
@@ -309,7 +328,7 @@ def _print_report(report: BakeReport) -> None:
             f"largest displacement {entry.largest_displacement:.4g} m, largest residual {entry.largest_residual:.2g} m"
             f"{_cost(entry)}"
         )
-        for warning in entry.warnings:
+        for warning in replace(entry, caution="").warnings:  # which was said at the start
             print(f"followthrough: warning: {warning}", file=sys.stderr)
     print(f"baked in {report.seconds:.1f} s")
 

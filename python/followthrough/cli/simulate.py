@@ -28,6 +28,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("sequence", metavar="SEQ.npz", type=Path, help="sequence file")
     parser.add_argument("-o", "--output", metavar="OUT.npz", type=Path, required=True, help="where to write the result")
     solver_options.add_arguments(parser)
+    solver_options.add_amplitude_argument(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
