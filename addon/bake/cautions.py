@@ -53,7 +53,9 @@ def caution_about(obj: bpy.types.Object, scene: bpy.types.Scene) -> str:
 class FOLLOWTHROUGH_OT_use_simulation(Operator):
     bl_idname = "followthrough.use_simulation"
     bl_label = "Use Simulation"
-    bl_description = "Let the simulation move the selected characters instead of the emulator: slower, and good for any flesh"
+    bl_description = (
+        "Let the simulation move the selected characters instead of the emulator: slower, and good for any flesh"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod

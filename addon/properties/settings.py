@@ -26,6 +26,12 @@ _EMULATOR = EmulatorSettings()
 
 #: Blender knows hertz since 4.5; before that the name says the unit.
 _KNOWS_HERTZ = "FREQUENCY" in bpy.types.Property.bl_rna.properties["unit"].enum_items
+#: So does it whether a path may start at the .blend file's folder.
+_RELATIVE_PATHS = (
+    {"PATH_SUPPORTS_BLEND_RELATIVE"}
+    if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties
+    else set()
+)
 #: From kilopascals to pascals.
 KILO = 1000.0
 #: Gravity on earth, m/s².
@@ -260,6 +266,7 @@ class FollowthroughSettings(PropertyGroup):
         name="Weights",
         description="File of the emulator's trained weights; where it is empty, those that come with Followthrough",
         subtype="FILE_PATH",
+        options=_RELATIVE_PATHS,
     )
     amplitude: FloatProperty(  # type: ignore[valid-type]
         name="Amplitude",

@@ -93,8 +93,8 @@ void bind_elastic(py::module_& m) {
            py::arg("mass_damping"), py::arg("stiffness_damping"), py::arg("pin_stiffness"), release())
       .def_property_readonly("last_step", &ImplicitEuler::last_step);
 
-  py::class_<PredictorCorrector, Solver>(m, "PredictorCorrector",
-                                         "A prediction that the true solver improves. Use followthrough.elastic.PredictorCorrector.")
+  py::class_<PredictorCorrector, Solver>(
+      m, "PredictorCorrector", "A prediction that the true solver improves. Use followthrough.elastic.PredictorCorrector.")
       .def(py::init<Solver&, ImplicitEuler&>(), py::arg("predictor"), py::arg("corrector"), py::keep_alive<1, 2>(),
            py::keep_alive<1, 3>())
       .def_property_readonly("last_step", &PredictorCorrector::last_step);

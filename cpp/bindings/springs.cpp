@@ -29,8 +29,8 @@ ArrayOfPositions evaluate(const Springs& springs, double fraction, const ArrayOf
 
 void bind_springs(py::module_& m) {
   py::class_<Springs, Solver>(m, "Springs", "Analytic zero-restlength springs. Use followthrough.springs.Springs.")
-      .def(py::init<ConstVector, ConstVector, double, ConstMask, const Eigen::Vector3d&>(), py::arg("stiffness"), py::arg("damping"), py::arg("dt"),
-           py::arg("pinned"), py::arg("gravity"), py::call_guard<py::gil_scoped_release>())
+      .def(py::init<ConstVector, ConstVector, double, ConstMask, const Eigen::Vector3d&>(), py::arg("stiffness"),
+           py::arg("damping"), py::arg("dt"), py::arg("pinned"), py::arg("gravity"), py::call_guard<py::gil_scoped_release>())
       .def("evaluate", &evaluate, py::arg("fraction"), py::arg("reference"), py::arg("next_reference") = py::none(),
            "Positions (n, 3) within the frame to come; changes nothing.");
 }

@@ -145,9 +145,7 @@ class RiggedMotion:
 
     def _frame(self, result: tuple[FloatArray, FloatArray, float, float]) -> Frame:
         offsets, displacements, largest_displacement, largest_residual = result
-        return Frame(
-            offsets, displacements, largest_displacement, largest_residual, converged=self._solver.converged
-        )
+        return Frame(offsets, displacements, largest_displacement, largest_residual, converged=self._solver.converged)
 
     def _poses(self, pose: Pose, next_pose: Pose | None) -> tuple[Any, Any]:
         """Both for the core; the pose ahead is the next call's pose."""

@@ -51,9 +51,7 @@ class Springs(Solver):
         none = np.zeros(0, dtype=np.bool_)
         mask = none if pinned is None else array_checks.mask("pinned", pinned, len(stiffness))
         self._dt = float(dt)
-        super().__init__(
-            _core.Springs(stiffness, damping, self._dt, mask, array_checks.vector3("gravity", gravity))
-        )
+        super().__init__(_core.Springs(stiffness, damping, self._dt, mask, array_checks.vector3("gravity", gravity)))
 
     @property
     def is_quick(self) -> bool:

@@ -190,7 +190,9 @@ def test_flesh_beyond_what_was_learned_is_counted_and_the_advice_helps(weights: 
     assert "stiffer" in asked(weights, (2e3, 1e6), cells=int(cells) + 1, size=size)
 
 
-def test_flesh_that_is_too_soft_here_and_too_stiff_there_can_only_be_painted_otherwise(weights: EmulatorSettings) -> None:
+def test_flesh_that_is_too_soft_here_and_too_stiff_there_can_only_be_painted_otherwise(
+    weights: EmulatorSettings,
+) -> None:
     said = asked(weights, (10.0, 1e6))
     assert re.search(r"\d of 7 vertices are softer and \d of 7 vertices are stiffer than", said)
     assert "Softest to" in said and "Stiffest to" in said and "Cells" not in said

@@ -132,7 +132,11 @@ def test_history_that_is_known_is_where_the_run_continues(sequence: Sequence, we
 
 
 def test_weights_that_come_with_the_package_are_the_default(
-    sequence: Sequence, weights: EmulatorWeights, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    sequence: Sequence,
+    weights: EmulatorWeights,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     given, output = tmp_path / "motion.npz", tmp_path / "out.npz"
     sequence.save(given)
@@ -163,7 +167,9 @@ def test_corrections_lead_from_the_network_to_the_true_motion(
     assert np.all(np.diff(errors, axis=0) < 0)
     assert errors[1][1] < 0.1 * errors[0][1]
     output = tmp_path / "out.npz"
-    assert cli.main(["rollout", str(given), "--weights", str(weights_file), "--corrections", "2", "-o", str(output)]) == 0
+    assert (
+        cli.main(["rollout", str(given), "--weights", str(weights_file), "--corrections", "2", "-o", str(output)]) == 0
+    )
     corrected, true = Sequence.load(output).dynamic, Sequence.load(given).dynamic
     assert corrected is not None and true is not None
     assert np.sqrt(np.mean((corrected - true)[1:] ** 2)) == pytest.approx(errors[-1][1])

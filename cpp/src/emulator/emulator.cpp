@@ -91,8 +91,8 @@ struct Emulator::Parts {
   Positions rest;
   std::vector<bool> constrained;
   std::vector<Index> constrained_vertices;
-  double edge_length, scale;   // scale: the network's metres a metre of the scene
-  Eigen::RowVector3d fall;     // h^2 g / 2, m: how far a frame that falls gets in one step
+  double edge_length, scale;  // scale: the network's metres a metre of the scene
+  Eigen::RowVector3d fall;    // h^2 g / 2, m: how far a frame that falls gets in one step
   Vector stiffness;
   PackedNetwork network;
   Patches patches;
@@ -196,7 +196,8 @@ void Emulator::Parts::gather_features(const ConstPositions& reference, Eigen::In
     float* own = features.data() + static_cast<std::size_t>(row) * static_cast<std::size_t>(network.feature_count());
     for (Eigen::Index axis = 0; axis < 3; ++axis) {
       // Seen from a frame that falls.
-      const double next = reference(v, axis) - fall[axis], here = reference_now(v, axis), past = reference_before(v, axis) - fall[axis];
+      const double next = reference(v, axis) - fall[axis], here = reference_now(v, axis),
+                   past = reference_before(v, axis) - fall[axis];
       const double u0 = ahead ? next : now(v, axis), u1 = ahead ? here : before(v, axis) - fall[axis];
       const double u2 = ahead ? past : before_that(v, axis) - 4.0 * fall[axis];
       const double origin = sees_reference ? here : u0;
@@ -280,7 +281,8 @@ const Positions& Emulator::step(ConstPositions reference, const Positions* /*nex
   for (std::size_t i = 0; i < p.patches.free.size(); ++i) {
     const Index v = p.patches.vertices[static_cast<std::size_t>(p.patches.free[i])];
     for (Eigen::Index axis = 0; axis < 3; ++axis) {
-      next(v, axis) = p.now(v, axis) + static_cast<double>(p.changes[3 * i + static_cast<std::size_t>(axis)]) / p.scale + p.fall[axis];
+      next(v, axis) =
+          p.now(v, axis) + static_cast<double>(p.changes[3 * i + static_cast<std::size_t>(axis)]) / p.scale + p.fall[axis];
     }
   }
   for (const Index v : p.constrained_vertices) next.row(v) = reference.row(v);

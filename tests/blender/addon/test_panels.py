@@ -131,17 +131,27 @@ def test_an_action_that_is_not_there_is_told(addon: ModuleType, painted: bpy.typ
 
 
 def test_every_solver_shows_its_own_settings(addon: ModuleType, painted: bpy.types.Object) -> None:
-    springs = draw(addon)["Motion"]
-    assert springs[-1] == "Damping"
-    assert "Gravity" not in springs
-    painted.followthrough.solver = "implicit-euler"
-    simulation = draw(addon)["Motion"]
-    assert [text for text in simulation if text not in springs] == [
-        "Softest (kPa)",
-        "Stiffest (kPa)",
-        "Gravity",
-        "Quality",
-    ]
+    texts = {}
+    for solver in ("springs", "emulator", "implicit-euler"):
+        painted.followthrough.solver = solver
+        texts[solver] = draw(addon)["Motion"]
+    texts = {solver: [text for text in found if text] for solver, found in texts.items()}
+    assert texts["springs"] == ["Solver", "Softest", "Stiffest", "Damping", "Gravity", "Amplitude"]
+    flesh = ["Softest (kPa)", "Stiffest (kPa)", "Damping", "Gravity", "Amplitude"]
+    assert texts["emulator"][1:] == [*flesh, "Corrections", "Weights"]
+    assert texts["implicit-euler"][1:] == [*flesh, "Quality"]
+
+
+def test_what_the_emulator_cannot_do_is_said_above_the_button(
+    addon: ModuleType, painted: bpy.types.Object, tmp_path: Any
+) -> None:
+    painted.followthrough.solver = "emulator"
+    painted.followthrough.weights = str(tmp_path / "nowhere.npz")
+    texts = draw(addon)["Followthrough"]
+    assert "found no such file" in " ".join(texts)
+    assert texts[-1] == "Bake 12 Frames"
+    painted.followthrough.solver = "springs"
+    assert draw(addon)["Followthrough"] == ["", "Bake 12 Frames"]
 
 
 def test_every_choice_of_frames(addon: ModuleType, painted: bpy.types.Object) -> None:

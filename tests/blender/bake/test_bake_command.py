@@ -220,7 +220,11 @@ def test_bad_choices_are_refused(character, tmp_path, capfd):
     fails(capfd, [source, "-o", target, "--damping", "nan"], "finite")
     fails(capfd, [source, "-o", target, "--damping", "3", "--damping-ratio", "0.3"], "expected one of them")
     fails(capfd, [source, "-o", target, "--solver", "magic"], "expected springs or emulator or implicit-euler")
-    fails(capfd, [source, "-o", target, "--solver", "springs", "--youngs-modulus", "5"], "only with emulator or implicit-euler")
+    fails(
+        capfd,
+        [source, "-o", target, "--solver", "springs", "--youngs-modulus", "5"],
+        "only with emulator or implicit-euler",
+    )
     flesh = [source, "-o", target, "--solver", "implicit-euler"]
     fails(capfd, [*flesh, "--stiffness", "5"], "expected only with springs")
     fails(capfd, [*flesh, "--youngs-modulus", "5:1"], "youngs_modulus_range: found 5 to 1")

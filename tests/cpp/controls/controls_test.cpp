@@ -25,9 +25,7 @@ bool same_bits(const Positions& a, const Positions& b) {
   return a.rows() == b.rows() && std::memcmp(a.data(), b.data(), sizeof(double) * static_cast<std::size_t>(a.size())) == 0;
 }
 
-ImplicitEuler flesh(const ShakenBlock& block) {
-  return {block.body, std::make_shared<InvertibleStVK>(), block.constrained, dt};
-}
+ImplicitEuler flesh(const ShakenBlock& block) { return {block.body, std::make_shared<InvertibleStVK>(), block.constrained, dt}; }
 
 std::vector<Positions> run(Solver& solver, const ShakenBlock& block, int frames = 8) {
   solver.reset(block.reference(0));

@@ -293,7 +293,8 @@ TEST_CASE("gravity adds its own motion to springs, and nothing else") {
   const std::vector<Positions> motion = random_motion(40, 8, 3);
   Vector stiffness = Vector::LinSpaced(40, 50.0, 5000.0), damping = Vector::LinSpaced(40, 0.0, 90.0);
   const Eigen::Vector3d gravity(0.0, 3.0, -9.81);
-  Springs plain(stiffness, damping, dt), heavy(stiffness, damping, dt, Mask(), gravity), still(stiffness, damping, dt, Mask(), gravity);
+  Springs plain(stiffness, damping, dt), heavy(stiffness, damping, dt, Mask(), gravity),
+      still(stiffness, damping, dt, Mask(), gravity);
   const std::vector<Positions> without = run(plain, motion), with = run(heavy, motion);
   const Positions origin = Positions::Zero(40, 3);
   still.reset(origin);

@@ -2,9 +2,10 @@
 /// @file
 /// How far secondary motion goes, on any solver: its displacement from the reference, times a number.
 ///
-/// The motion itself stays as it was simulated, so its timing does not change with the amplitude: 0 is the reference to the bit, 1 the
-/// solver, and between and beyond it is linear. For springs this is the same as scaling the accelerations that they feel, since they
-/// are linear in them. For elastic flesh it is not: flesh that felt no acceleration would still sag out of a pose that squeezes it.
+/// The motion itself stays as it was simulated, so its timing does not change with the amplitude: 0 is the reference to the bit, 1
+/// the solver, and between and beyond it is linear. For springs this is the same as scaling the accelerations that they feel, since
+/// they are linear in them. For elastic flesh it is not: flesh that felt no acceleration would still sag out of a pose that
+/// squeezes it.
 #pragma once
 
 #include "followthrough/solver.hpp"

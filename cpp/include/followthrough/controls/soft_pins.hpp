@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
-/// Soft pins for solvers that carry their motion as past positions (Solver::frames_in_state) and have no springs of their own to hang on: after
-/// each step a vertex is drawn towards its reference.
+/// Soft pins for solvers that carry their motion as past positions (Solver::frames_in_state) and have no springs of their own to
+/// hang on: after each step a vertex is drawn towards its reference.
 ///
-/// A backward Euler step with a spring of stiffness p more satisfies (A + h^2 p) d = A d*, with the step's system matrix A = m + h^2 k and the displacement
-/// d* that the step without it had. With A's diagonal alone, as in one Jacobi iteration, d = d* / (1 + (h^2 p / m) / (1 + h^2 k / m)), which is
-/// exact for what swings as one piece (a layer of flesh on a bone); what a pin leaves does then not depend on the frame length.
+/// A backward Euler step with a spring of stiffness p more satisfies (A + h^2 p) d = A d*, with the step's system matrix A = m +
+/// h^2 k and the displacement d* that the step without it had. With A's diagonal alone, as in one Jacobi iteration, d = d* / (1 +
+/// (h^2 p / m) / (1 + h^2 k / m)), which is exact for what swings as one piece (a layer of flesh on a bone); what a pin leaves does
+/// then not depend on the frame length.
 #pragma once
 
 #include "followthrough/solver.hpp"

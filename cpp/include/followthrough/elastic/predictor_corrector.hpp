@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
-/// A quick solver predicts each frame, and some iterations of the true one start from there: how much exactness a frame gets is a dial.
-/// What comes out is the state of both, so errors of the predictor do not add up where the corrector has taken them away.
+/// A quick solver predicts each frame, and some iterations of the true one start from there: how much exactness a frame gets is a
+/// dial. What comes out is the state of both, so errors of the predictor do not add up where the corrector has taken them away.
 #pragma once
 
 #include "followthrough/elastic/implicit_euler.hpp"

@@ -28,9 +28,9 @@ struct EmulatedBody {
   Eigen::Vector3d gravity = Eigen::Vector3d::Zero();  ///< m/s2, see Emulator
 };
 
-/// A network that has never felt gravity moves bodies in it all the same: what is seen from a frame of reference that falls freely has
-/// no weight. So positions enter as y(t + k) = x(t + k) - (k h)^2 g / 2, the history, the reference and the neighbours' alike, and the
-/// prediction is carried back. Backward Euler's equation is met in the one frame exactly where it is in the other.
+/// A network that has never felt gravity moves bodies in it all the same: what is seen from a frame of reference that falls freely
+/// has no weight. So positions enter as y(t + k) = x(t + k) - (k h)^2 g / 2, the history, the reference and the neighbours' alike,
+/// and the prediction is carried back. Backward Euler's equation is met in the one frame exactly where it is in the other.
 class Emulator final : public Solver {
  public:
   /// @throws InvalidInput on wrong shapes, constants that are not positive, a free vertex without mass, or as require_network

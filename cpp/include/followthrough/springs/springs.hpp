@@ -19,7 +19,8 @@ class Springs final : public Solver {
   /// @param damping (n,) kd: damping over mass, 1/s, 0 or more; 2 sqrt(ks) is critical
   /// @param dt s a frame, more than 0
   /// @param pinned (n,) vertices that follow the reference exactly, or empty: none
-  /// @param gravity m/s^2. A spring hangs by gravity / ks below its target: in between the same equation holds, so nothing else changes
+  /// @param gravity m/s^2. A spring hangs by gravity / ks below its target: in between the same equation holds, so nothing else
+  /// changes
   /// @throws InvalidInput on a wrong shape, on negative or non-finite constants, and where gravity acts on what no spring holds
   Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMask pinned = Mask(),
           const Eigen::Vector3d& gravity = Eigen::Vector3d::Zero());
