@@ -66,7 +66,8 @@ def paint_flesh(volume: Volume, settings: SimulationSettings) -> Flesh:
     loose = loose_vertices(volume)
     if loose.all():
         raise ValueError(
-            "pins: found none that holds the flesh, expected some (paint pins where the character follows its bones)"
+            "pins: found none that holds the flesh, expected some (paint pins where the character follows its bones, or take "
+            "springs, which hang on it everywhere)"
         )
     constrained = volume.pinned | loose
     size = volume.surface.size

@@ -23,7 +23,7 @@ from followthrough.settings import Settings, VolumeSettings
 RINGS, SEGMENTS = 9, 8
 
 #: A coarse volume, so that a test takes no time.
-COARSE = Settings(volume=VolumeSettings(cells=8))
+COARSE = Settings(solver="springs", volume=VolumeSettings(cells=8))
 
 
 @dataclass
