@@ -35,18 +35,22 @@ def caution_about(obj: bpy.types.Object, scene: bpy.types.Scene) -> str:
     """
     if obj.followthrough.solver != "emulator":
         return ""
-    now = time.monotonic()
+    unreadable = obj.mode in {"EDIT", "SCULPT"}  # without leaving them, which drawing must not
+    began = time.monotonic()
     known = _known.get(obj.name)
     try:
-        settings = (object_settings(obj), scene.render.fps, scene.render.fps_base, len(obj.data.vertices))
-        fresh = known is not None and known.settings == settings
-        if known is not None and fresh and (now < known.until or obj.mode in {"EDIT", "SCULPT"}):
-            return known.text
-        text = "" if obj.mode in {"EDIT", "SCULPT"} else caution_before_bake(obj, settings[0], scene)
+        chosen = object_settings(obj)
     except ValueError as problem:
         return str(problem)
+    settings = (chosen, scene.render.fps, scene.render.fps_base, len(obj.data.vertices))
+    if known is not None and known.settings == settings and (unreadable or began < known.until):
+        return known.text
+    try:
+        text = "" if unreadable else caution_before_bake(obj, chosen, scene)
+    except ValueError as problem:
+        text = str(problem)
     ended = time.monotonic()
-    _known[obj.name] = _Known(settings, text, ended + _REST * (ended - now))
+    _known[obj.name] = _Known(settings, text, ended + _REST * (ended - began))
     return text
 
 
