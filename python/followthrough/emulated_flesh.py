@@ -18,6 +18,7 @@ from followthrough.elastic import PredictorCorrector
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights
 from followthrough.flesh import Flesh, logarithmic, middle_rate, nothing_to_simulate, paint_flesh, true_solver
+from followthrough.mesh import TetMesh
 from followthrough.settings import EmulatorSettings, Settings, SimulationSettings
 from followthrough.solver import Solver
 from followthrough.volume import HARD_PIN, Volume
@@ -123,14 +124,15 @@ class Reach:
     stiffest: float
 
 
-def reach(surface: Surface, paint: Paint, settings: Settings, dt: float, trained: tuple[float, float]) -> Reach:
+def reach(
+    surface: Surface, paint: Paint, settings: Settings, dt: float, edge: float, trained: tuple[float, float]
+) -> Reach:
     """Compare the painted skin's dimensionless stiffness E dt² / (density edge²) with a trained range."""
     simulation, cells = settings.simulation, settings.volume.cells
     free = paint.pins < HARD_PIN
     stiffness = np.clip(paint.stiffness[free], 0.0, 1.0)
     modulus = logarithmic(simulation.youngs_modulus_range, stiffness) * surface.size**2
     density = logarithmic(simulation.density_range, np.clip(paint.mass[free], 0.0, 1.0))
-    edge = float(np.ptp(surface.rest_positions @ surface.object_scale.T, axis=0).max()) / cells
     found = modulus / density * (dt / edge) ** 2
     low, high = trained
     softer, stiffer = found < low * (1.0 - 1e-6), found > high * (1.0 + 1e-6)
@@ -158,10 +160,11 @@ def _new_end(end: float, factors: FloatArray, shares: FloatArray) -> float:
         return float(end * np.exp(logarithms[np.abs(logarithms).argmax()]))
 
 
-def caution(surface: Surface, paint: Paint, settings: Settings, dt: float) -> str:
+def caution(surface: Surface, paint: Paint, settings: Settings, dt: float, tet_mesh: TetMesh | None = None) -> str:
     """A sentence for the artist where the emulator is asked for flesh that its network has not learned, with what to change; or none.
 
-    It takes the painted skin alone, so it can be said before anything is made for a bake.
+    It takes the painted skin alone, so it can be said before anything is made for a bake. Only volumes that are not made of cubes
+    have to be there to be measured.
 
     Raises
     ------
@@ -170,8 +173,16 @@ def caution(surface: Surface, paint: Paint, settings: Settings, dt: float) -> st
     """
     if settings.solver != "emulator":
         return ""
-    found = reach(surface, paint, settings, dt, load_weights(settings.emulator).trained_on.stiffness_range)
-    fewest, most = found.cells
+    trained = load_weights(settings.emulator).trained_on.stiffness_range
+    made_of_cubes = settings.volume.method == "voxel"
+    if made_of_cubes:
+        edge = float(np.ptp(surface.rest_positions @ surface.object_scale.T, axis=0).max()) / settings.volume.cells
+    else:
+        edge = 0.0 if tet_mesh is None else _cube_edge(tet_mesh)
+    if not edge > 0.0:
+        return ""
+    found = reach(surface, paint, settings, dt, edge, trained)
+    fewest, most = found.cells if made_of_cubes else (1, 0)
     ways = []
     if found.softer:
         if found.softest <= settings.simulation.youngs_modulus_range[1]:
@@ -193,6 +204,13 @@ def caution(surface: Surface, paint: Paint, settings: Settings, dt: float) -> st
     change = " or ".join(ways) if not (found.softer and found.stiffer) else ", ".join(ways)
     advice = f"set {change}, or " if change else ""
     return f"{' and '.join(counts)} than the emulator has learned, and may move wrongly: {advice}take Simulation (implicit-euler)"
+
+
+def _cube_edge(tet_mesh: TetMesh) -> float:
+    """Edge of a cube of six tets with the median tet's volume, as the emulator measures tets."""
+    corners = tet_mesh.vertices[tet_mesh.tets]
+    volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
+    return float(np.cbrt(6.0 * np.median(volumes)))
 
 
 def _upwards(value: float) -> str:

@@ -194,7 +194,7 @@ class SecondaryMotion:
         self.settings = settings
         self.volume = build_volume(surface, paint, settings.volume)
         self.solver = make_solver(self.volume, settings, dt)
-        self.caution = caution(surface, paint, settings, dt)
+        self.caution = caution(surface, paint, settings, dt, self.volume.tet_mesh)
         self._rigged = None if surface.rig is None else RiggedMotion(self.volume, self.solver, settings.minimum_stretch)
         self._ahead: tuple[Pose, FloatArray] | None = None
         self._threads: concurrent.futures.ThreadPoolExecutor | None = None

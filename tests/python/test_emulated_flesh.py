@@ -52,6 +52,7 @@ def test_it_moves_the_flesh_that_is_painted(weights: EmulatorSettings) -> None:
         load_weights(weights),
         gravity=(0.0, 0.0, -6.0),
     )
+    assert expected.edge_length == pytest.approx(0.2)  # what `caution` takes it for: the longest side over the cells
     found = make_emulated_flesh(volume, simulation, weights, DT)
     for one, other in zip(shaken(found, volume), shaken(expected, volume), strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)
@@ -196,6 +197,28 @@ def test_flesh_that_is_too_soft_here_and_too_stiff_there_can_only_be_painted_oth
     said = asked(weights, (10.0, 1e6))
     assert re.search(r"\d of 7 vertices are softer and \d of 7 vertices are stiffer than", said)
     assert "Softest to" in said and "Stiffest to" in said and "Cells" not in said
+
+
+def test_volumes_without_cubes_are_measured_by_their_tets(weights: EmulatorSettings) -> None:
+    surface, paint = painted_box()
+    tet_mesh = bar(sides=(1.0, 1.0, 1.0), cells=5).tet_mesh
+    settings = Settings(
+        volume=VolumeSettings(method="tetgen", cells=1),
+        solver="emulator",
+        simulation=SimulationSettings(youngs_modulus_range=(2e3, 1e4)),
+        emulator=weights,
+    )
+    cubes = dataclasses.replace(settings, volume=VolumeSettings(cells=5))
+    said = caution(surface, paint, settings, DT, tet_mesh)
+    assert "softer" in said and "Cells" not in said
+    assert said == caution(surface, paint, cubes, DT).replace("set Cells to 11 or more, or ", "")
+    assert caution(surface, paint, settings, DT) == ""  # before there is a volume
+
+
+def test_a_mesh_without_extent_is_left_to_others_to_refuse(weights: EmulatorSettings) -> None:
+    surface, paint = painted_box(size=0.0)
+    settings = Settings(solver="emulator", emulator=weights)
+    assert caution(surface, paint, settings, DT) == ""
 
 
 def test_other_solvers_know_no_such_limit(weights: EmulatorSettings) -> None:
