@@ -77,7 +77,9 @@ class FOLLOWTHROUGH_PT_motion(_CharacterPanel, Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, obj = self.character_layout(context)
         settings = obj.followthrough
-        layout.row().prop(settings, "solver", expand=True)
+        row = layout.row()
+        row.use_property_split = False  # beside a label, a narrow sidebar would cut the names short
+        row.prop(settings, "solver", expand=True)
         layout.menu(FOLLOWTHROUGH_MT_presets.__name__, icon="PRESET")
         simulated = settings.solver != "springs"
         column = layout.column(align=True)

@@ -203,7 +203,7 @@ def caution(surface: Surface, paint: Paint, settings: Settings, dt: float, tet_m
         return ""
     change = " or ".join(ways) if not (found.softer and found.stiffer) else ", ".join(ways)
     advice = f"set {change}, or " if change else ""
-    return f"{' and '.join(counts)} than the emulator has learned, and may move wrongly: {advice}take Simulation (implicit-euler)"
+    return f"{' and '.join(counts)} than the emulator has learned, and may move wrongly: {advice}take Simulation"
 
 
 def _cube_edge(tet_mesh: TetMesh) -> float:

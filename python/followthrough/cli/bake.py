@@ -298,7 +298,7 @@ def _bake(scene: bpy.types.Scene, objects: dict[str, ObjectSettings], frames: Fr
 
     bake = blender.Bake(scene, objects, frames)
     for caution in bake.cautions:
-        print(f"followthrough: warning: {caution}", file=sys.stderr)
+        print(f"followthrough: warning: {caution} (--solver implicit-euler)", file=sys.stderr)
     for _ in with_progress(_Steps(bake), "bake", quiet=quiet):
         pass
     return bake.finish()
