@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bake Followthrough: in a window a little at a time, so that Blender stays alive; from scripts all at once."""
 
+import math
 import time
 
 import bpy
@@ -52,8 +53,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
         """Bake at once, for scripts and without a window."""
         try:
             bake = self._begin(context)
-            while not bake.advance(TIME_SLICE):
-                pass
+            bake.advance(math.inf)
             self._report(bake.finish())
         except ValueError as error:
             self.report({"ERROR"}, str(error))

@@ -84,6 +84,7 @@ class BakeSession:
             for progress in self._steps:
                 self.done = progress.done
                 if time.monotonic() >= until:
+                    self._bake.show()
                     return False
         except BaseException:
             self.cancel()

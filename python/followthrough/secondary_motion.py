@@ -15,6 +15,7 @@ from followthrough import _core
 from followthrough.character import BonePose, FloatArray, Paint, Pose, Surface
 from followthrough.elastic import ImplicitEuler
 from followthrough.flesh import loose_vertices, make_flesh
+from followthrough.mesh import TetMesh
 from followthrough.settings import Settings, SpringSettings
 from followthrough.solver import Solver
 from followthrough.springs import Springs
@@ -178,6 +179,8 @@ class SecondaryMotion:
         Volume and solver.
     dt
         Seconds a frame.
+    tet_mesh
+        As in `build_volume`.
 
     Raises
     ------
@@ -185,11 +188,13 @@ class SecondaryMotion:
         Where the arrays do not fit each other, or the solver cannot be made for them.
     """
 
-    def __init__(self, surface: Surface, paint: Paint, settings: Settings, dt: float) -> None:
+    def __init__(
+        self, surface: Surface, paint: Paint, settings: Settings, dt: float, tet_mesh: TetMesh | None = None
+    ) -> None:
         if not (np.isfinite(dt) and dt > 0):
             raise ValueError(f"dt: found {dt:g}, expected a positive number of seconds")
         self.settings = settings
-        self.volume = build_volume(surface, paint, settings.volume)
+        self.volume = build_volume(surface, paint, settings.volume, tet_mesh)
         self.solver = make_solver(self.volume, settings, dt)
         self._rigged = None if surface.rig is None else RiggedMotion(self.volume, self.solver, settings.minimum_stretch)
         self._ahead: tuple[Pose, FloatArray] | None = None

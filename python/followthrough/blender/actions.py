@@ -137,6 +137,15 @@ def has_foreign_animation(key: bpy.types.Key) -> bool:
     )
 
 
+def animated_paths(animation: bpy.types.AnimData | None) -> set[str]:
+    """Data paths that actions, NLA tracks or drivers move."""
+    if animation is None:
+        return set()
+    actions = [animation.action, *(strip.action for track in animation.nla_tracks for strip in track.strips)]
+    paths = {curve.data_path for action in actions if action is not None for curve in _curves(action)}
+    return paths | {driver.data_path for driver in animation.drivers}
+
+
 def is_ours(action: bpy.types.Action | None) -> bool:
     """Whether a bake made this action."""
     return action is not None and MARK in action

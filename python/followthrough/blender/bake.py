@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import concurrent.futures
+import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
 import bpy
@@ -16,12 +19,25 @@ from followthrough.blender import actions, modes, shape_keys
 from followthrough.blender.bake_report import BakeReport, ObjectReport
 from followthrough.blender.groups import PaintGroups, read_paint
 from followthrough.blender.probes import OffsetFinder
-from followthrough.blender.rig_reading import PoseReader, make_reader, read_surface
-from followthrough.blender.scene import NotBakeableError, require_bakeable, require_posed, skeletons_of
+from followthrough.blender.rig_reading import PoseReader, make_reader, read_bare_surface, with_skeleton
+from followthrough.blender.scene import (
+    Deformation,
+    NotBakeableError,
+    require_bakeable,
+    require_posed,
+    skeletons_of,
+)
+from followthrough.blender.still_meshes import StillMeshes
 from followthrough.blender.vertex_weights import read_weights
 from followthrough.character import BonePose, Pose, Surface
 from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings
+from followthrough.volume import make_tets
+
+#: Poses that are read before they are needed take so many bytes at most.
+LOOK_AHEAD = 2**26
+#: Seconds after which a thread that makes a volume gets its turn while poses are read; Python's own 5 ms would add up.
+SWITCH_INTERVAL = 5e-4
 
 
 @dataclass(frozen=True)
@@ -72,7 +88,7 @@ class _Character:
     """One object while it is baked."""
 
     name: str
-    motion: SecondaryMotion
+    made: concurrent.futures.Future[SecondaryMotion]
     reader: PoseReader
     finder: OffsetFinder | None
     #: One a keyed frame; until a finder has found the offset, the displacement in the world.
@@ -82,6 +98,16 @@ class _Character:
     largest_residual: float = 0.0
     evaluations: int = 0
     unconverged: set[int] = field(default_factory=set)
+
+    @property
+    def motion(self) -> SecondaryMotion:
+        """What `made` makes; waits for it."""
+        return self.made.result()
+
+    def abandon(self) -> None:
+        """Leave a frame under way to itself."""
+        if self.made.done() and not self.made.cancelled() and self.made.exception() is None:
+            self.motion.abandon()
 
 
 class Bake:
@@ -131,6 +157,7 @@ class Bake:
         self._modes: dict[str, str] = {}
         self._complete = self._closed = False
         self._characters: list[_Character] = []
+        self._ahead: deque[list[Pose]] = deque()
         try:
             self._prepare(scene, objects, frames)
         except BaseException:
@@ -204,7 +231,7 @@ class Bake:
             return
         self._closed = True
         for character in self._characters:
-            character.motion.abandon()
+            character.abandon()
         self._put_back()
         modes.enter_modes(self._modes)
         self._back_to_frame()
@@ -220,21 +247,78 @@ class Bake:
             if deformation.armature is None:
                 self._switch_off(obj, deformation.behind)
         scene.frame_set(self.start)
-        for name, settings in objects.items():
-            obj = bpy.data.objects[name]
-            weights = read_weights(obj)
-            surface = read_surface(obj, weights)
-            paint = read_paint(obj, surface, settings.groups, weights)
+        self._still = StillMeshes(deformations, self._view_layer())
+        self._restore.append(self._still.show)
+        interval = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_INTERVAL)
+        thread = concurrent.futures.ThreadPoolExecutor(max_workers=1)
+        try:
+            for name, settings in objects.items():
+                self._read_character(bpy.data.objects[name], settings, deformations[name], thread)
+            self._searched = [character for character in self._characters if character.finder is not None]
+            self._schedule = self._make_schedule(frames)
+            # While the volumes are made on the thread, Blender steps the first frames here.
+            self._read_ahead_until(self._characters[-1].made)
+            for character in self._characters:
+                character.made.result()
+        finally:
+            thread.shutdown(wait=False, cancel_futures=True)
+            sys.setswitchinterval(interval)
+
+    def _read_character(
+        self,
+        obj: bpy.types.Object,
+        settings: ObjectSettings,
+        deformation: Deformation,
+        thread: concurrent.futures.Executor,
+    ) -> None:
+        """Read an object; its volume and solver are made on the thread, the tets while the weights are read here."""
+        bare = read_bare_surface(obj)
+        tets = thread.submit(make_tets, bare, settings.motion.volume)
+        weights = read_weights(obj)
+        surface = bare if deformation.armature is None else with_skeleton(obj, bare, weights)
+        paint = read_paint(obj, surface, settings.groups, weights)
+        name = obj.name
+
+        def make_motion() -> SecondaryMotion:
             with _told_apart(f"Object '{name}'"):
-                motion = SecondaryMotion(surface, paint, settings.motion, self._dt)
-            offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
-            finder = self._make_finder(obj, surface, settings.motion.minimum_stretch) if surface.rig is None else None
-            reader = make_reader(obj, deformations[name], surface)
-            self._characters.append(
-                _Character(name, motion, reader, finder, offsets, unkeyed=np.empty_like(offsets[0]))
-            )
-        self._searched = [character for character in self._characters if character.finder is not None]
-        self._schedule = self._make_schedule(frames)
+                return SecondaryMotion(surface, paint, settings.motion, self._dt, tets.result())
+
+        made = thread.submit(make_motion)
+        offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
+        finder = self._make_finder(obj, surface, settings.motion.minimum_stretch) if surface.rig is None else None
+        reader = make_reader(obj, deformation, surface)
+        self._characters.append(_Character(name, made, reader, finder, offsets, unkeyed=np.empty_like(offsets[0])))
+
+    def _read_ahead_until(self, made: concurrent.futures.Future[SecondaryMotion]) -> None:
+        """Read poses in the order in which they are needed, for as long as that takes."""
+        while not made.done() and self._read_ahead():
+            pass
+
+    def _read_ahead(self) -> bool:
+        """Read the next pose that has not been read yet; False where there is none, no room for it, or it cannot be read.
+
+        What is wrong with a pose is told when its turn comes.
+        """
+        room = max(1, LOOK_AHEAD // sum(map(_size, self._ahead[0]))) if self._ahead else 1
+        if not self._unread or len(self._ahead) >= room:
+            return False
+        with suppress(ValueError):
+            self._ahead.append(self._read(self._unread[0]))
+            self._unread.popleft()
+            return True
+        return False
+
+    def _take_poses(self) -> list[Pose]:
+        """The next poses, read ahead or now."""
+        for character in self._characters:
+            if character.name not in bpy.data.objects:
+                raise NotBakeableError(f"Object '{character.name}' is no longer there")
+        if self._ahead:
+            return self._ahead.popleft()
+        poses = self._read(self._unread[0])
+        self._unread.popleft()
+        return poses
 
     def _make_finder(self, obj: bpy.types.Object, surface: Surface, minimum_stretch: float) -> OffsetFinder:
         finder = OffsetFinder(obj.name, surface.rest_positions, minimum_stretch)
@@ -243,26 +327,30 @@ class Bake:
         return finder
 
     def _make_schedule(self, frames: FrameRange) -> list[tuple[int, bool]]:
-        """Frames to simulate, and whether they are keyed; the frame that follows the last one of a loop is `_after`."""
-        self._after: int | None = None
+        """Frames to simulate, and whether they are keyed; after a loop's last one, the frame that follows it is read, too."""
+        after: int | None = None
         schedule = [(frame, False) for frame in range(self.start - frames.preroll, self.start)]
         if frames.cycles:
             first, last = self._read(self.start), self._read(self.end)
             closed = self.end > self.start and all(map(_same_pose, first, last))
             loop = range(self.start, self.end if closed else self.end + 1)
             schedule += [(frame, False) for _ in range(frames.cycles) for frame in loop]
-            self._after = self.start + int(closed)
-        return schedule + [(frame, True) for frame in range(self.start, self.end + 1)]
+            after = self.start + int(closed)
+        schedule += [(frame, True) for frame in range(self.start, self.end + 1)]
+        self._unread = deque(frame for frame, _ in schedule)
+        if after is not None:
+            self._unread.append(after)
+        return schedule
 
     def _steps(self, patience: float | None) -> Iterator[Progress]:
-        following = [frame for frame, _ in self._schedule[1:]] + [self._after]
-        poses: list[Pose] = self._read(self._schedule[0][0])
+        poses = self._take_poses()
         for character, pose in zip(self._characters, poses, strict=True):
             with _told_apart(f"Object '{character.name}', frame {self._schedule[0][0]}"):
                 character.motion.reset(pose)
         under_way: Progress | None = None
-        for done, ((frame, _), next_frame) in enumerate(zip(self._schedule, following, strict=True)):
-            next_poses = None if next_frame is None else self._read(next_frame)
+        for done, (frame, _) in enumerate(self._schedule):
+            self._read_ahead()
+            next_poses = self._take_poses() if self._ahead or self._unread else None
             if under_way is not None:
                 yield from self._wait(under_way, patience)
                 self._collect(*self._schedule[done - 1])
@@ -345,7 +433,13 @@ class Bake:
         scene = bpy.data.scenes.get(self._scene)
         if scene is None:
             raise NotBakeableError(f"Scene '{self._scene}' is no longer there")
+        self._still.hold()
         scene.frame_set(frame)
+
+    def show(self) -> None:
+        """Between two frames: let Blender show the objects deformed in the scene's current frame, until the next one is read."""
+        if not self._closed:
+            self._still.show()
 
     def _view_layer(self) -> bpy.types.ViewLayer:
         scene = bpy.data.scenes[self._scene]
@@ -426,6 +520,11 @@ def _require_visible(name: str, scene: bpy.types.Scene, view_layer: bpy.types.Vi
 def _is_finite(pose: Pose) -> bool:
     local = pose.bone_matrices if isinstance(pose, BonePose) else pose.positions
     return bool(np.isfinite(local).all() and np.isfinite(pose.world).all())
+
+
+def _size(pose: Pose) -> int:
+    """Bytes, about."""
+    return pose.bone_matrices.nbytes if isinstance(pose, BonePose) else pose.positions.nbytes
 
 
 def _same_pose(first: Pose, last: Pose) -> bool:

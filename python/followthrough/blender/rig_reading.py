@@ -42,6 +42,18 @@ def read_surface(obj: bpy.types.Object, weights: VertexWeights | None = None) ->
         Where the object cannot be baked.
     """
     deformation = require_bakeable(obj)
+    surface = read_bare_surface(obj)
+    return surface if deformation.armature is None else with_skeleton(obj, surface, weights)
+
+
+def read_bare_surface(obj: bpy.types.Object) -> Surface:
+    """The same without the rig, and thus without a look at the weights: all that a volume's tets are made of.
+
+    Raises
+    ------
+    NotBakeableError
+        Where the mesh is empty, not finite or flat.
+    """
     with object_mode(obj.name):
         positions = rest_positions(obj)
         triangles = _triangles(obj.data)
@@ -55,13 +67,12 @@ def read_surface(obj: bpy.types.Object, weights: VertexWeights | None = None) ->
         )
     armature = skeleton_of(obj)
     scale = _stretch(obj) * (1.0 if armature is None else _shared_bone_scale(armature))
-    surface = Surface(
+    return Surface(
         rest_positions=positions,
         triangles=triangles,
         object_scale=scale,
         character_size=None if armature is None else _character_size(obj, armature, positions, scale),
     )
-    return surface if deformation.armature is None else with_skeleton(obj, surface, weights)
 
 
 def with_skeleton(obj: bpy.types.Object, surface: Surface, weights: VertexWeights | None = None) -> Surface:
