@@ -54,7 +54,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
         try:
             bake = self._begin(context)
             bake.advance(math.inf)
-            self._report(bake.finish())
+            self._report(bake.finish(), bake.notes())
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -83,7 +83,8 @@ class FOLLOWTHROUGH_OT_bake(Operator):
             return {"CANCELLED"}
         if event.type == "ESC" and event.value == "PRESS":
             self.cancel(context)
-            self.report({"INFO"}, "Bake cancelled, nothing was changed")
+            kept = f"; it can be resumed from frame {bake.saved_frame}" if bake.saved_frame is not None else ""
+            self.report({"INFO"}, f"Bake cancelled, nothing was changed{kept}")
             return {"CANCELLED"}
         if event.type == "TIMER":
             return self._tick(context, bake)
@@ -119,7 +120,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
             self._leave(context)
             raise
         self._leave(context)
-        self._report(report)
+        self._report(report, bake.notes())
         return {"FINISHED"}
 
     def _time_slice(self) -> float:
@@ -135,10 +136,12 @@ class FOLLOWTHROUGH_OT_bake(Operator):
             context.workspace.status_text_set(None)
         _redraw_sidebars(context)
 
-    def _report(self, report: BakeReport) -> None:
+    def _report(self, report: BakeReport, notes: tuple[str, ...]) -> None:
         frames = report.end - report.start + 1
         names = ", ".join(baked.name for baked in report.objects)
         self.report({"INFO"}, f"Baked {frames} frames of {names} in {report.seconds:.1f} s")
+        for note in notes:
+            self.report({"INFO"}, note)
         for baked in report.objects:
             for warning in baked.warnings:
                 self.report({"WARNING"}, warning)

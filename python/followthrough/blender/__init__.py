@@ -14,6 +14,7 @@ Messages of `NotBakeableError` and of every other `ValueError` are meant for the
 """
 
 from followthrough.blender.bake import Bake, FrameRange, ObjectSettings, Progress
+from followthrough.blender.bake_cache import BakeCache, cache_folder, resumable_frame
 from followthrough.blender.bake_report import BakeReport, ObjectReport
 from followthrough.blender.groups import (
     MASS_GROUP,
@@ -35,6 +36,7 @@ __all__ = [
     "PINS_GROUP",
     "STIFFNESS_GROUP",
     "Bake",
+    "BakeCache",
     "BakeReport",
     "FrameRange",
     "NotBakeableError",
@@ -46,10 +48,12 @@ __all__ = [
     "action_frames",
     "add_groups",
     "baked_range",
+    "cache_folder",
     "clear",
     "read_paint",
     "read_surface",
     "remove_groups",
+    "resumable_frame",
     "skinned_meshes",
     "why_not_bakeable",
     "write_group",

@@ -7,19 +7,22 @@ import concurrent.futures
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import bpy
 import numpy as np
-from numpy.typing import NDArray
 
 from followthrough.blender import actions, modes, shape_keys
+from followthrough.blender.bake_cache import BakeCache, plan_of
+from followthrough.blender.bake_recovery import Recovery
 from followthrough.blender.bake_report import BakeReport, ObjectReport
+from followthrough.blender.baked_character import BakedCharacter
 from followthrough.blender.groups import PaintGroups, read_paint
 from followthrough.blender.probes import OffsetFinder
-from followthrough.blender.rig_reading import PoseReader, make_reader, read_bare_surface, with_skeleton
+from followthrough.blender.rig_reading import make_reader, read_bare_surface, with_skeleton
 from followthrough.blender.scene import (
     Deformation,
     NotBakeableError,
@@ -83,33 +86,6 @@ class Progress:
     frame: int
 
 
-@dataclass
-class _Character:
-    """One object while it is baked."""
-
-    name: str
-    made: concurrent.futures.Future[SecondaryMotion]
-    reader: PoseReader
-    finder: OffsetFinder | None
-    #: One a keyed frame; until a finder has found the offset, the displacement in the world.
-    offsets: NDArray[np.float32]
-    unkeyed: NDArray[np.float32]
-    largest_displacement: float = 0.0
-    largest_residual: float = 0.0
-    evaluations: int = 0
-    unconverged: set[int] = field(default_factory=set)
-
-    @property
-    def motion(self) -> SecondaryMotion:
-        """What `made` makes; waits for it."""
-        return self.made.result()
-
-    def abandon(self) -> None:
-        """Leave a frame under way to itself."""
-        if self.made.done() and not self.made.cancelled() and self.made.exception() is None:
-            self.motion.abandon()
-
-
 class Bake:
     """Secondary motion of some mesh objects over a range of frames.
 
@@ -125,6 +101,14 @@ class Bake:
         Settings of every object to bake, by object name.
     frames
         Which frames; the scene's where it is None.
+    cache
+        Folder (`bake_cache.cache_folder`) in which the bake keeps what it has done, and goes on from where an earlier one of the same
+        characters, settings and animation has stopped. It is removed at the end. None: neither.
+
+    Attributes
+    ----------
+    recovery : Recovery
+        What is in the cache, and whether it is used.
 
     Raises
     ------
@@ -135,7 +119,11 @@ class Bake:
     """
 
     def __init__(
-        self, scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange | None = None
+        self,
+        scene: bpy.types.Scene,
+        objects: Mapping[str, ObjectSettings],
+        frames: FrameRange | None = None,
+        cache: Path | None = None,
     ) -> None:
         frames = frames or FrameRange()
         self._began = time.perf_counter()
@@ -156,8 +144,9 @@ class Bake:
         self._restore: list[Callable[[], None]] = []
         self._modes: dict[str, str] = {}
         self._complete = self._closed = False
-        self._characters: list[_Character] = []
+        self._characters: list[BakedCharacter] = []
         self._ahead: deque[list[Pose]] = deque()
+        self._cache = cache
         try:
             self._prepare(scene, objects, frames)
         except BaseException:
@@ -218,6 +207,7 @@ class Bake:
         modes.enter_modes(self._modes)
         self._back_to_frame()
         self._closed = True
+        self.recovery.end()
         return BakeReport(
             objects=tuple(self._report(character) for character in self._characters),
             start=self.start,
@@ -257,6 +247,7 @@ class Bake:
                 self._read_character(bpy.data.objects[name], settings, deformations[name], thread)
             self._searched = [character for character in self._characters if character.finder is not None]
             self._schedule = self._make_schedule(frames)
+            self.recovery = self._make_recovery(objects, frames)
             # While the volumes are made on the thread, Blender steps the first frames here.
             self._read_ahead_until(self._characters[-1].made)
             for character in self._characters:
@@ -288,7 +279,7 @@ class Bake:
         offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
         finder = self._make_finder(obj, surface, settings.motion.minimum_stretch) if surface.rig is None else None
         reader = make_reader(obj, deformation, surface)
-        self._characters.append(_Character(name, made, reader, finder, offsets, unkeyed=np.empty_like(offsets[0])))
+        self._characters.append(BakedCharacter(name, made, reader, finder, offsets, unkeyed=np.empty_like(offsets[0])))
 
     def _read_ahead_until(self, made: concurrent.futures.Future[SecondaryMotion]) -> None:
         """Read poses in the order in which they are needed, for as long as that takes."""
@@ -320,6 +311,15 @@ class Bake:
         self._unread.popleft()
         return poses
 
+    def _make_recovery(self, objects: Mapping[str, ObjectSettings], frames: FrameRange) -> Recovery:
+        return Recovery(
+            cache=None if self._cache is None else BakeCache(self._cache, self._scene, objects),
+            plan=plan_of(bpy.data.scenes[self._scene], objects, frames),
+            characters=self._characters,
+            scheduled=[frame for frame, _ in self._schedule],
+            keyed=self.end - self.start + 1,
+        )
+
     def _make_finder(self, obj: bpy.types.Object, surface: Surface, minimum_stretch: float) -> OffsetFinder:
         finder = OffsetFinder(obj.name, surface.rest_positions, minimum_stretch)
         self._restore.append(finder.remove)
@@ -337,9 +337,8 @@ class Bake:
             schedule += [(frame, False) for _ in range(frames.cycles) for frame in loop]
             after = self.start + int(closed)
         schedule += [(frame, True) for frame in range(self.start, self.end + 1)]
-        self._unread = deque(frame for frame, _ in schedule)
-        if after is not None:
-            self._unread.append(after)
+        self._frames_to_read = [frame for frame, _ in schedule] + ([] if after is None else [after])
+        self._unread = deque(self._frames_to_read)
         return schedule
 
     def _steps(self, patience: float | None) -> Iterator[Progress]:
@@ -347,26 +346,54 @@ class Bake:
         for character, pose in zip(self._characters, poses, strict=True):
             with _told_apart(f"Object '{character.name}', frame {self._schedule[0][0]}"):
                 character.motion.reset(pose)
+        self.recovery.poses.add(poses)
+        first, poses = yield from self._resume(poses)
         under_way: Progress | None = None
-        for done, (frame, _) in enumerate(self._schedule):
+        for done in range(first, len(self._schedule)):
+            frame = self._schedule[done][0]
             self._read_ahead()
             next_poses = self._take_poses() if self._ahead or self._unread else None
             if under_way is not None:
                 yield from self._wait(under_way, patience)
-                self._collect(*self._schedule[done - 1])
+                self._collect(done - 1)
             progress = Progress(done=done + 1, total=self.total, frame=frame)
             if done:
                 self._begin(frame, poses, next_poses)
                 under_way = progress
-            if next_poses is not None:
+            if next_poses is not None and done + 1 < len(self._schedule):
                 poses = next_poses
+                self.recovery.poses.add(poses)
             if done + 1 < len(self._schedule):
                 yield progress
         if under_way is not None:
             yield from self._wait(under_way, patience)
-            self._collect(*self._schedule[-1])
+            self._collect(len(self._schedule) - 1)
+        if self._searched and first < len(self._schedule):
+            self.recovery.save(len(self._schedule), always=True)  # the displacements, before offsets take their place
         self._complete = not self._searched
-        yield progress
+        yield Progress(done=len(self._schedule), total=self.total, frame=self._schedule[-1][0])
+
+    def _resume(self, poses: list[Pose]) -> Generator[Progress, None, tuple[int, list[Pose]]]:
+        """Go on where the cache ends, if it is of this bake: step through the frames again, without simulating them.
+
+        Takes the first frame's poses; returns how many frames are simulated, and the poses of the next one.
+        """
+        saved = self.recovery.load()
+        if saved is None:
+            return 0, poses
+        first = poses
+        for done in range(1, min(saved.done + 1, len(self._schedule))):
+            poses = self._take_poses()
+            self.recovery.poses.add(poses)
+            yield Progress(done=done, total=self.total, frame=self._schedule[done - 1][0])
+        if self.recovery.restore(saved):
+            return saved.done, poses
+        self._ahead.clear()
+        self._unread = deque(self._frames_to_read[1:])
+        self.recovery.poses.add(first)
+        for character, pose in zip(self._characters, first, strict=True):
+            character.motion.reset(pose)
+        return 0, first
 
     def _wait(self, under_way: Progress, patience: float | None) -> Iterator[Progress]:
         if patience is not None:
@@ -376,17 +403,19 @@ class Bake:
 
     def _searches(self) -> Iterator[Progress]:
         """Turn the displacements of what bones alone do not move into offsets, frame by frame."""
-        for done, frame in enumerate(
-            range(self.start, self.end + 1) if self._searched else (), len(self._schedule) + 1
-        ):
-            self._scene_in(frame)
-            for character in self._searched:
-                with _told_apart(f"Object '{character.name}', frame {frame}"):
-                    self._search(character, frame)
+        for frame in range(self.start, self.end + 1) if self._searched else ():
+            keyed = frame - self.start + 1
+            if any(character.found < keyed for character in self._searched):
+                self._scene_in(frame)
+                for character in self._searched:
+                    with _told_apart(f"Object '{character.name}', frame {frame}"):
+                        self._search(character, frame)
+                    character.found = keyed
+                self.recovery.save(len(self._schedule))
             self._complete = frame == self.end
-            yield Progress(done=done, total=self.total, frame=frame)
+            yield Progress(done=len(self._schedule) + keyed, total=self.total, frame=frame)
 
-    def _search(self, character: _Character, frame: int) -> None:
+    def _search(self, character: BakedCharacter, frame: int) -> None:
         assert character.finder is not None
         view_layer = self._view_layer()
         to_world = character.reader.read(view_layer).world[:3, :3]
@@ -403,7 +432,8 @@ class Bake:
             with _told_apart(f"Object '{character.name}', frame {frame}"):
                 character.motion.begin(poses[index], None if following is None else following[index])
 
-    def _collect(self, frame: int, keyed: bool) -> None:
+    def _collect(self, index: int) -> None:
+        frame, keyed = self._schedule[index]
         for character in self._characters:
             with _told_apart(f"Object '{character.name}', frame {frame}"):
                 result = character.motion.finish()
@@ -418,6 +448,7 @@ class Bake:
             if keyed:
                 character.largest_displacement = max(character.largest_displacement, result.largest_displacement)
                 character.largest_residual = max(character.largest_residual, result.largest_residual)
+        self.recovery.save(index + 1)
 
     def _read(self, frame: int) -> list[Pose]:
         self._scene_in(frame)
@@ -485,7 +516,7 @@ class Bake:
         if scene is not None:
             scene.frame_set(self._frame[0], subframe=self._frame[1])
 
-    def _report(self, character: _Character) -> ObjectReport:
+    def _report(self, character: BakedCharacter) -> ObjectReport:
         volume = character.motion.volume
         return ObjectReport(
             name=character.name,

@@ -95,6 +95,11 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--stiffness-group", metavar="NAME", help="vertex group of painted stiffness")
     parser.add_argument("--mass-group", metavar="NAME", help="vertex group of painted mass")
+    parser.add_argument(
+        "--no-resume",
+        action="store_true",
+        help="begin anew even where an interrupted bake of the same left frames beside OUT",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
@@ -214,7 +219,10 @@ def run(args: argparse.Namespace) -> int:
     )
     for scene_name, names in chosen.items():
         scene = bpy.data.scenes[scene_name]
-        report = _bake(scene, dict.fromkeys(names, settings), frames, args.quiet)
+        cache = blender.cache_folder(args.output)
+        if args.no_resume:
+            blender.BakeCache(cache, scene_name, names).remove()
+        report = _bake(scene, dict.fromkeys(names, settings), frames, cache, args.quiet)
         if imported:
             scene.frame_start, scene.frame_end = report.start, report.end
             scene.frame_set(report.start)
@@ -276,12 +284,28 @@ def _explain_nothing_to_bake() -> None:
     raise ValueError(next(reasons, "no mesh of the file is moved by an armature: choose one with --object"))
 
 
-def _bake(scene: bpy.types.Scene, objects: dict[str, ObjectSettings], frames: FrameRange, quiet: bool) -> BakeReport:
+def _bake(
+    scene: bpy.types.Scene, objects: dict[str, ObjectSettings], frames: FrameRange, cache: Path, quiet: bool
+) -> BakeReport:
     from followthrough import blender
 
-    bake = blender.Bake(scene, objects, frames)
-    for _ in with_progress(_Steps(bake), "bake", quiet=quiet):
-        pass
+    bake = blender.Bake(scene, objects, frames, cache)
+    recovery = bake.recovery
+    try:
+        for _ in with_progress(_Steps(bake), "bake", quiet=quiet):
+            pass
+    except KeyboardInterrupt:
+        if recovery.saved_frame is not None:
+            print(
+                f"followthrough: the same command goes on from frame {recovery.saved_frame} ({cache})", file=sys.stderr
+            )
+        raise
+    if recovery.resumed_from is not None:
+        print(f"followthrough: went on from frame {recovery.resumed_from}", file=sys.stderr)
+    if recovery.has_begun_anew:
+        print("followthrough: what an earlier bake left was of something else: begun anew", file=sys.stderr)
+    if recovery.problem is not None:
+        print(f"followthrough: warning: no cache could be written ({recovery.problem})", file=sys.stderr)
     return bake.finish()
 
 

@@ -5,11 +5,14 @@ A window's layout cannot be had in the background, so the panels draw into one t
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import bpy
 import pytest
+
+from followthrough.blender import bake_recovery
 
 
 class RecordingLayout:
@@ -66,6 +69,26 @@ def test_nothing_selected(addon: ModuleType) -> None:
 def test_an_object_that_is_no_mesh(addon: ModuleType) -> None:
     bpy.ops.object.camera_add()
     assert draw(addon) == {"Followthrough": ["Select a skinned mesh"]}
+
+
+def test_a_stopped_bake_changes_the_button(
+    addon: ModuleType, painted: bpy.types.Object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(bake_recovery, "SAVE_INTERVAL", 0.0)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    settings = addon.properties.bake_settings
+    bake = addon.bake.session.BakeSession(
+        bpy.context.scene, {painted.name: settings.object_settings(painted)}, settings.frame_range(painted)
+    )
+    while bake.done < 6:
+        bake.advance(0.0)
+    bake.cancel()
+    assert "Resume Baking from Frame 6" in draw(addon)["Followthrough"]
+    painted.followthrough.frequency_soft *= 1.5
+    assert "Bake 12 Frames" in draw(addon)["Followthrough"]
+    painted.followthrough.frequency_soft /= 1.5
+    assert bpy.ops.followthrough.discard_stopped_bake() == {"FINISHED"}
+    assert "Bake 12 Frames" in draw(addon)["Followthrough"]
 
 
 def test_an_armature_offers_its_meshes(addon: ModuleType, character: bpy.types.Object) -> None:
