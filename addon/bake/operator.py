@@ -26,7 +26,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
     bl_idname = "followthrough.bake"
     bl_label = "Bake Followthrough"
     bl_description = (
-        "Simulate the secondary motion of the selected characters and write it to shape keys, one a frame. "
+        "Simulate the secondary motion of the selected characters and write it to shape keys, one a frame, or a point cache. "
         "An earlier bake is replaced; other shape keys and animation are not touched"
     )
     bl_options = {"REGISTER", "UNDO"}
@@ -43,7 +43,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
         if not characters:
             cls.poll_message_set("Add Followthrough to a mesh first")
             return False
-        reason = why_not_bakeable(characters[0])
+        reason = why_not_bakeable(characters[0], characters[0].followthrough.output)
         if reason is not None:
             cls.poll_message_set(reason)
             return False

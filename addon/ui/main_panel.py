@@ -44,8 +44,10 @@ class FOLLOWTHROUGH_PT_main(FollowthroughPanel, Panel):
         if obj is None:
             draw_choice_of_mesh(layout, context)
             return
-        if reason := why_not_bakeable(obj):
+        if reason := why_not_bakeable(obj, obj.followthrough.output):
             draw_text(layout, context, reason, icon="ERROR")
+            if why_not_bakeable(obj, "keys" if obj.followthrough.output == "pc2" else "pc2") is None:
+                layout.prop(obj.followthrough, "output", text="")
         elif not obj.followthrough.is_added:
             row = layout.row()
             row.scale_y = 1.4

@@ -27,12 +27,13 @@ from followthrough.blender.groups import (
     remove_groups,
     write_group,
 )
+from followthrough.blender.outputs import OUTPUTS, OutputKind, baked_range, clear
 from followthrough.blender.rig_reading import read_surface
 from followthrough.blender.scene import NotBakeableError, action_frames, skinned_meshes, why_not_bakeable
-from followthrough.blender.shape_keys import baked_range, clear
 
 __all__ = [
     "MASS_GROUP",
+    "OUTPUTS",
     "PINS_GROUP",
     "STIFFNESS_GROUP",
     "Bake",
@@ -42,6 +43,7 @@ __all__ = [
     "NotBakeableError",
     "ObjectReport",
     "ObjectSettings",
+    "OutputKind",
     "PaintGroups",
     "PinGroup",
     "Progress",

@@ -15,12 +15,13 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from followthrough.blender import actions, modes, shape_keys
+from followthrough.blender import actions, modes, outputs, point_cache, shape_keys
 from followthrough.blender.bake_cache import BakeCache, plan_of
 from followthrough.blender.bake_recovery import Recovery
 from followthrough.blender.bake_report import BakeReport, ObjectReport
 from followthrough.blender.baked_character import BakedCharacter
 from followthrough.blender.groups import PaintGroups, read_paint
+from followthrough.blender.outputs import OUTPUTS, OutputKind
 from followthrough.blender.probes import OffsetFinder
 from followthrough.blender.rig_reading import make_reader, read_bare_surface, with_skeleton
 from followthrough.blender.scene import (
@@ -45,10 +46,15 @@ SWITCH_INTERVAL = 5e-4
 
 @dataclass(frozen=True)
 class ObjectSettings:
-    """How one object is baked: volume and solver, and which vertex groups are read."""
+    """How one object is baked: volume and solver, which vertex groups are read, and what is written."""
 
     motion: Settings = field(default_factory=Settings)
     groups: PaintGroups = field(default_factory=PaintGroups)
+    output: OutputKind = "keys"
+
+    def __post_init__(self) -> None:
+        if self.output not in OUTPUTS:
+            raise ValueError(f"output: found {self.output!r}, expected {' or '.join(OUTPUTS)}")
 
 
 @dataclass(frozen=True)
@@ -105,6 +111,9 @@ class Bake:
         Folder (`bake_cache.cache_folder`) in which the bake keeps what it has done, and goes on from where an earlier one of the same
         characters, settings and animation has stopped. It is removed at the end. None: neither.
 
+    blend
+        The .blend that will play the bake, beside which point caches are written; None: the one that is open.
+
     Attributes
     ----------
     recovery : Recovery
@@ -124,6 +133,7 @@ class Bake:
         objects: Mapping[str, ObjectSettings],
         frames: FrameRange | None = None,
         cache: Path | None = None,
+        blend: Path | None = None,
     ) -> None:
         frames = frames or FrameRange()
         self._began = time.perf_counter()
@@ -135,14 +145,18 @@ class Bake:
         if not objects:
             raise NotBakeableError("there is no object to bake: choose a mesh that an armature moves")
         view_layer = self._view_layer()
-        for name in objects:
+        self._blend = blend or (Path(bpy.data.filepath) if bpy.data.filepath else None)
+        for name, settings in objects.items():
             _require_visible(name, scene, view_layer)
-            require_bakeable(bpy.data.objects[name])
+            require_bakeable(bpy.data.objects[name], settings.output)
+            if settings.output == "pc2" and self._blend is None:
+                raise NotBakeableError("a point cache lies beside its .blend: save the file first")
             require_posed(bpy.data.objects[name])
         self._dt = scene.render.fps_base / scene.render.fps
         self._frame = (scene.frame_current, scene.frame_subframe)
         self._restore: list[Callable[[], None]] = []
         self._modes: dict[str, str] = {}
+        self._outputs = {name: settings.output for name, settings in objects.items()}
         self._complete = self._closed = False
         self._characters: list[BakedCharacter] = []
         self._ahead: deque[list[Pose]] = deque()
@@ -186,10 +200,12 @@ class Bake:
                 self.cancel()
 
     def finish(self) -> BakeReport:
-        """Write the shape keys of all objects and put the scene's frame back.
+        """Write the shape keys or point caches of all objects and put the scene's frame back.
 
         Raises
         ------
+        ValueError, OSError
+            Where a point cache cannot be written.
         RuntimeError
             Where `run` has not come to its end.
         """
@@ -202,8 +218,20 @@ class Bake:
                 raise NotBakeableError(f"Object '{character.name}' has been removed or changed: bake again")
         self._put_back()
         frames, length = range(self.start, self.end + 1), actions.frame_length(bpy.data.scenes[self._scene])
-        for character in self._characters:
-            shape_keys.write(bpy.data.objects[character.name], frames, character.offsets, length)
+        try:
+            for character in self._characters:
+                outputs.write(
+                    bpy.data.objects[character.name],
+                    self._outputs[character.name],
+                    frames,
+                    character.offsets,
+                    character.rest_positions,
+                    self._blend,
+                    length,
+                )
+        except BaseException:
+            self.cancel()
+            raise
         modes.enter_modes(self._modes)
         self._back_to_frame()
         self._closed = True
@@ -230,10 +258,15 @@ class Bake:
         # An armature in Edit Mode shows its rest pose.
         armatures = {armature.name for name in objects for armature in skeletons_of(bpy.data.objects[name])}
         self._modes = modes.leave_modes([*objects, *sorted(armatures)])
-        deformations = {name: require_bakeable(bpy.data.objects[name]) for name in objects}
+        deformations = {
+            name: require_bakeable(bpy.data.objects[name], settings.output) for name, settings in objects.items()
+        }
         for name, deformation in deformations.items():
             obj = bpy.data.objects[name]
             self._mute_our_keys(obj)
+            cached = point_cache.our_modifier(obj)
+            if cached is not None and obj.modifiers[cached].show_viewport:
+                self._switch_off(obj, (cached,))
             if deformation.armature is None:
                 self._switch_off(obj, deformation.behind)
         scene.frame_set(self.start)
@@ -279,7 +312,11 @@ class Bake:
         offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
         finder = self._make_finder(obj, surface, settings.motion.minimum_stretch) if surface.rig is None else None
         reader = make_reader(obj, deformation, surface)
-        self._characters.append(BakedCharacter(name, made, reader, finder, offsets, unkeyed=np.empty_like(offsets[0])))
+        self._characters.append(
+            BakedCharacter(
+                name, made, reader, finder, surface.rest_positions, offsets, unkeyed=np.empty_like(offsets[0])
+            )
+        )
 
     def _read_ahead_until(self, made: concurrent.futures.Future[SecondaryMotion]) -> None:
         """Read poses in the order in which they are needed, for as long as that takes."""
@@ -496,7 +533,7 @@ class Bake:
         set_mute(True)
 
     def _switch_off(self, obj: bpy.types.Object, modifiers: tuple[str, ...]) -> None:
-        """Hide modifiers behind the deformation, which would change the number of vertices."""
+        """Hide modifiers behind the deformation, which would change the number of vertices, and what an earlier bake made."""
 
         def show(visible: bool, name: str = obj.name) -> None:
             found = bpy.data.objects.get(name)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from followthrough.blender.probes import OffsetFinder
 from followthrough.blender.rig_reading import PoseReader
+from followthrough.character import FloatArray
 from followthrough.secondary_motion import SecondaryMotion
 
 
@@ -22,6 +23,7 @@ class BakedCharacter:
     made: concurrent.futures.Future[SecondaryMotion]
     reader: PoseReader
     finder: OffsetFinder | None
+    rest_positions: FloatArray
     #: One a keyed frame; until a finder has found the offset, the displacement in the world.
     offsets: NDArray[np.float32]
     unkeyed: NDArray[np.float32]

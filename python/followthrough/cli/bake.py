@@ -96,6 +96,12 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--stiffness-group", metavar="NAME", help="vertex group of painted stiffness")
     parser.add_argument("--mass-group", metavar="NAME", help="vertex group of painted mass")
     parser.add_argument(
+        "--output-kind",
+        choices=("keys", "pc2"),
+        default="keys",
+        help="shape keys, or a point cache (.pc2) beside OUT and a Mesh Cache modifier, also for linked meshes (default %(default)s)",
+    )
+    parser.add_argument(
         "--no-resume",
         action="store_true",
         help="begin anew even where an interrupted bake of the same left frames beside OUT",
@@ -184,7 +190,7 @@ def run(args: argparse.Namespace) -> int:
     except ImportError as problem:
         raise ValueError(_NO_BLENDER) from problem
     from followthrough import blender
-    from followthrough.blender import actions, files
+    from followthrough.blender import actions, files, point_cache
     from followthrough.blender.scene import skeleton_of
 
     groups = blender.PaintGroups(
@@ -192,7 +198,7 @@ def run(args: argparse.Namespace) -> int:
         mass=args.mass_group,
         pins=None if args.pin_groups is None else tuple(_pin_group(text) for text in args.pin_groups),
     )
-    settings = blender.ObjectSettings(motion=motion, groups=groups)
+    settings = blender.ObjectSettings(motion=motion, groups=groups, output=args.output_kind)
     files.require_output(args.output)
     imported = files.open_file(args.input)
     if bpy.app.autoexec_fail:
@@ -219,15 +225,17 @@ def run(args: argparse.Namespace) -> int:
     )
     for scene_name, names in chosen.items():
         scene = bpy.data.scenes[scene_name]
-        cache = blender.cache_folder(args.output)
         if args.no_resume:
-            blender.BakeCache(cache, scene_name, names).remove()
-        report = _bake(scene, dict.fromkeys(names, settings), frames, cache, args.quiet)
+            blender.BakeCache(blender.cache_folder(args.output), scene_name, names).remove()
+        report = _bake(scene, dict.fromkeys(names, settings), frames, args)
         if imported:
             scene.frame_start, scene.frame_end = report.start, report.end
             scene.frame_set(report.start)
         _print_report(report)
     files.save_file(args.output, pack=imported)
+    if args.output_kind == "pc2":
+        for name in (name for names in chosen.values() for name in names):
+            print(f"{point_cache.path_of(args.output, name)}: written")
     print(f"{args.output}: written")
     return 0
 
@@ -285,14 +293,15 @@ def _explain_nothing_to_bake() -> None:
 
 
 def _bake(
-    scene: bpy.types.Scene, objects: dict[str, ObjectSettings], frames: FrameRange, cache: Path, quiet: bool
+    scene: bpy.types.Scene, objects: dict[str, ObjectSettings], frames: FrameRange, args: argparse.Namespace
 ) -> BakeReport:
     from followthrough import blender
 
-    bake = blender.Bake(scene, objects, frames, cache)
+    cache = blender.cache_folder(args.output)
+    bake = blender.Bake(scene, objects, frames, cache, blend=args.output)
     recovery = bake.recovery
     try:
-        for _ in with_progress(_Steps(bake), "bake", quiet=quiet):
+        for _ in with_progress(_Steps(bake), "bake", quiet=args.quiet):
             pass
     except KeyboardInterrupt:
         if recovery.saved_frame is not None:

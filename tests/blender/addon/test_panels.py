@@ -122,6 +122,38 @@ def test_a_linked_mesh(addon: ModuleType, painted: bpy.types.Object, tmp_path: A
     assert not bpy.ops.followthrough.bake.poll()
 
 
+def test_a_linked_mesh_on_a_local_object_is_baked_to_a_point_cache(
+    addon: ModuleType, character: bpy.types.Object, tmp_path: Path
+) -> None:
+    library, name, armature = str(tmp_path / "library.blend"), character.name, character.parent.name
+    frames = bpy.context.scene.frame_start, bpy.context.scene.frame_end
+    bpy.data.libraries.write(library, {character})
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    addon.unregister()
+    addon.register()
+    with bpy.data.libraries.load(library, link=True) as (_there, here):
+        here.objects = [name, armature]
+    for obj in here.objects:
+        bpy.context.scene.collection.objects.link(obj)
+        obj.select_set(True)
+    bpy.ops.object.make_local(type="SELECT_OBJECT")
+    bpy.context.scene.frame_start, bpy.context.scene.frame_end = frames
+    obj = bpy.data.objects[name]
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    assert obj.data.library is not None
+    (texts,) = draw(addon).values()
+    assert "Point Cache" in " ".join(texts)
+    obj.followthrough.output = "pc2"
+    assert bpy.ops.followthrough.add() == {"FINISHED"}
+    assert "Output" in draw(addon)["Frames"]
+    assert bpy.ops.followthrough.bake() == {"FINISHED"}
+    assert f"Baked {frames[0]} to {frames[1]}" in draw(addon)["Followthrough"]
+    assert obj.modifiers[0].type == "MESH_CACHE"
+    assert bpy.ops.followthrough.remove() == {"FINISHED"}
+    assert [modifier.type for modifier in obj.modifiers] == ["ARMATURE"]
+
+
 @pytest.mark.parametrize("target", ["STIFFNESS", "MASS", "PINS"])
 def test_painting_shows_what_the_values_mean(addon: ModuleType, painted: bpy.types.Object, target: str) -> None:
     bpy.ops.followthrough.paint(target=target)
