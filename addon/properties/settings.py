@@ -262,6 +262,11 @@ class FollowthroughSettings(PropertyGroup):
         items=(
             ("keys", "Shape Keys", "A shape key a frame on the mesh; plays in any Blender without another file"),
             (
+                "absolute",
+                "Absolute Shape Keys",
+                "Shape keys in a row that one curve, of the evaluation time, runs through; for a mesh without other shape keys",
+            ),
+            (
                 "pc2",
                 "Point Cache (PC2)",
                 "A .pc2 file beside the .blend, and a Mesh Cache modifier that plays it. The mesh may be linked from another file",

@@ -6,7 +6,7 @@ import textwrap
 import bpy
 from bpy.types import Panel
 
-from followthrough.blender import baked_range, why_not_bakeable
+from followthrough.blender import OUTPUTS, baked_range, why_not_bakeable
 
 from ..bake.clear import FOLLOWTHROUGH_OT_clear
 from ..bake.discard import FOLLOWTHROUGH_OT_discard_stopped_bake
@@ -46,7 +46,7 @@ class FOLLOWTHROUGH_PT_main(FollowthroughPanel, Panel):
             return
         if reason := why_not_bakeable(obj, obj.followthrough.output):
             draw_text(layout, context, reason, icon="ERROR")
-            if why_not_bakeable(obj, "keys" if obj.followthrough.output == "pc2" else "pc2") is None:
+            if any(why_not_bakeable(obj, output) is None for output in OUTPUTS):
                 layout.prop(obj.followthrough, "output", text="")
         elif not obj.followthrough.is_added:
             row = layout.row()

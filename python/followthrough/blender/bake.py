@@ -518,6 +518,8 @@ class Bake:
 
     def _mute_our_keys(self, obj: bpy.types.Object) -> None:
         key = obj.data.shape_keys
+        if shape_keys.is_absolute_bake(key):
+            self._make_relative(obj)
         names = [name for name in shape_keys.our_names(key) if not key.key_blocks[name].mute]
         if not names:
             return
@@ -531,6 +533,17 @@ class Bake:
 
         self._restore.append(lambda: set_mute(False))
         set_mute(True)
+
+    def _make_relative(self, obj: bpy.types.Object) -> None:
+        """Absolute keys of an earlier bake show the rest shape as relative ones: their values are 0."""
+
+        def set_relative(relative: bool, name: str = obj.name) -> None:
+            found = bpy.data.objects.get(name)
+            if found is not None and found.data.shape_keys is not None:
+                found.data.shape_keys.use_relative = relative
+
+        self._restore.append(lambda: set_relative(False))
+        set_relative(True)
 
     def _switch_off(self, obj: bpy.types.Object, modifiers: tuple[str, ...]) -> None:
         """Hide modifiers behind the deformation, which would change the number of vertices, and what an earlier bake made."""

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from followthrough.blender import point_cache, shape_keys
 
-#: "keys": relative shape keys on the mesh. "pc2": a .pc2 file beside the .blend and a Mesh Cache modifier.
-OutputKind = Literal["keys", "pc2"]
+#: "keys": relative shape keys on the mesh. "absolute": absolute ones, in a row.
+#: "pc2": a .pc2 file beside the .blend and a Mesh Cache modifier.
+OutputKind = Literal["keys", "absolute", "pc2"]
 OUTPUTS: tuple[OutputKind, ...] = get_args(OutputKind)
 
 
@@ -31,8 +32,8 @@ def write(
 
     See `shape_keys.write` and `point_cache.write` for the parameters; `blend` is the file that will play it.
     """
-    if kind == "keys":
-        shape_keys.write(obj, frames, offsets, frame_length)
+    if kind != "pc2":
+        shape_keys.write(obj, frames, offsets, frame_length, absolute=kind == "absolute")
         point_cache.clear(obj)
         return
     if blend is None:

@@ -10,7 +10,7 @@ import bpy
 from followthrough.blender.actions import has_foreign_animation, played_range, scene_frames
 from followthrough.blender.outputs import OutputKind
 from followthrough.blender.point_cache import our_modifier
-from followthrough.blender.shape_keys import our_names
+from followthrough.blender.shape_keys import is_absolute_bake, our_names
 
 #: Modifiers that move vertices one by one and keep their number.
 DEFORMING = frozenset(
@@ -84,7 +84,7 @@ def require_bakeable(obj: bpy.types.Object, output: OutputKind = "keys") -> Defo
     name = f"Object '{obj.name}'"
     if obj.type != "MESH":
         raise NotBakeableError(f"{name} is no mesh (it is of type {obj.type.lower()}): choose the character's mesh")
-    if output == "keys":
+    if output != "pc2":
         _require_own_mesh(obj, name)
     else:
         _require_modifiable(obj, name)
@@ -92,6 +92,8 @@ def require_bakeable(obj: bpy.types.Object, output: OutputKind = "keys") -> Defo
     if obj.mode != "EDIT" and (not len(mesh.vertices) or not len(mesh.polygons)):
         raise NotBakeableError(f"{name} has an empty mesh: there are no faces to bake")
     _require_usable_keys(obj, name)
+    if output == "absolute":
+        _require_no_other_keys(obj, name)
     deformation = _deformation(obj, name)
     if output == "pc2" and obj.data.library is not None and deformation.armature is None:
         raise NotBakeableError(
@@ -182,7 +184,7 @@ def _require_usable_keys(obj: bpy.types.Object, name: str) -> None:
     key = obj.data.shape_keys
     if key is None:
         return
-    if not key.use_relative:
+    if not key.use_relative and not is_absolute_bake(key):
         raise NotBakeableError(f"{name} has absolute shape keys: switch on Relative in its Shape Keys panel")
     if obj.show_only_shape_key:
         raise NotBakeableError(f"{name} shows only its active shape key: switch off Solo in its Shape Keys panel")
@@ -191,6 +193,17 @@ def _require_usable_keys(obj: bpy.types.Object, name: str) -> None:
         raise NotBakeableError(f"{name} has a shape key strip that is being tweaked: leave tweak mode first")
     if animation is not None and len(animation.nla_tracks) and (not animation.use_nla or _has_solo_track(animation)):
         raise NotBakeableError(f"{name} has shape key tracks that are switched off or solo: a bake would not play")
+
+
+def _require_no_other_keys(obj: bpy.types.Object, name: str) -> None:
+    key = obj.data.shape_keys
+    ours = our_names(key)
+    others = [] if key is None else [block.name for block in key.key_blocks[1:] if block.name not in ours]
+    if others or has_foreign_animation(key):
+        raise NotBakeableError(
+            f"{name} has other shape keys ({', '.join(map(repr, others)) or 'animated'}), which absolute ones would switch off: choose "
+            "(relative) shape keys as the output"
+        )
 
 
 def _has_solo_track(animation: bpy.types.AnimData) -> bool:

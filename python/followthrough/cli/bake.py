@@ -97,9 +97,10 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--mass-group", metavar="NAME", help="vertex group of painted mass")
     parser.add_argument(
         "--output-kind",
-        choices=("keys", "pc2"),
+        choices=("keys", "absolute", "pc2"),
         default="keys",
-        help="shape keys, or a point cache (.pc2) beside OUT and a Mesh Cache modifier, also for linked meshes (default %(default)s)",
+        help="relative shape keys, absolute ones in a row, or a point cache (.pc2) beside OUT and a Mesh Cache modifier, "
+        "also for linked meshes (default %(default)s)",
     )
     parser.add_argument(
         "--no-resume",
