@@ -136,6 +136,7 @@ class Bake:
         blend: Path | None = None,
     ) -> None:
         frames = frames or FrameRange()
+        objects = dict(sorted(objects.items()))  # a cache is the same in whatever order they were selected
         self._began = time.perf_counter()
         self._scene = scene.name
         self.start = scene.frame_start if frames.start is None else frames.start

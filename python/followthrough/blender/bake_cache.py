@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import tempfile
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -84,7 +85,8 @@ class Saved:
 
 
 def cache_folder(blend: Path | None = None) -> Path:
-    """Where the cache of a .blend lies: beside it, or in the folder for temporary files where it has not been saved.
+    """Where the cache of a .blend lies: beside it, or in the folder for temporary files where it has not been saved or its own folder
+    cannot be written to.
 
     Parameters
     ----------
@@ -92,7 +94,7 @@ def cache_folder(blend: Path | None = None) -> Path:
         The file; None: the one that is open.
     """
     path = blend or (Path(bpy.data.filepath) if bpy.data.filepath else None)
-    if path is None:
+    if path is None or not os.access(path.absolute().parent, os.W_OK):
         return Path(tempfile.gettempdir()) / "followthrough_cache"
     return path.absolute().parent / f"{path.stem}_followthrough_cache"
 

@@ -115,7 +115,7 @@ def test_several_objects_go_on_together(make_character, tmp_path):
     for _ in range(5):
         next(run)
     run.close()
-    again = Bake(bpy.context.scene, objects, None, tmp_path)
+    again = Bake(bpy.context.scene, dict(reversed(objects.items())), None, tmp_path)
     completed(again)
     assert again.recovery.resumed_from == 5
     for character, offsets in zip((one, two), whole, strict=True):
@@ -284,3 +284,4 @@ def test_caches_lie_beside_their_file(tmp_path):
     assert cache_folder().name == "followthrough_cache"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
     assert cache_folder() == tmp_path / "shot_followthrough_cache"
+    assert cache_folder(tmp_path / "nowhere" / "shot.blend").name == "followthrough_cache"
