@@ -40,6 +40,8 @@ from followthrough.volume import make_tets
 
 #: Poses that are read before they are needed take so many bytes at most.
 LOOK_AHEAD = 2**26
+#: Seconds for which poses are read at once.
+BURST = 0.02
 #: Seconds after which a thread that makes a volume gets its turn while poses are read; Python's own 5 ms would add up.
 SWITCH_INTERVAL = 5e-4
 
@@ -338,6 +340,15 @@ class Bake:
             return True
         return False
 
+    def _read_burst(self) -> None:
+        """Where few poses are left, read some at once: the threads that Blender evaluates with go on spinning for a while after a frame,
+        and would slow down the one that simulates.
+        """
+        if len(self._ahead) < 2:
+            until = time.monotonic() + BURST
+            while self._read_ahead() and time.monotonic() < until:
+                pass
+
     def _take_poses(self) -> list[Pose]:
         """The next poses, read ahead or now."""
         for character in self._characters:
@@ -389,7 +400,7 @@ class Bake:
         under_way: Progress | None = None
         for done in range(first, len(self._schedule)):
             frame = self._schedule[done][0]
-            self._read_ahead()
+            self._read_burst()
             next_poses = self._take_poses() if self._ahead or self._unread else None
             if under_way is not None:
                 yield from self._wait(under_way, patience)
