@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bake Followthrough: in a window a little at a time, so that Blender stays alive; from scripts all at once."""
 
+import math
 import time
 
 import bpy
@@ -25,7 +26,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
     bl_idname = "followthrough.bake"
     bl_label = "Bake Followthrough"
     bl_description = (
-        "Simulate the secondary motion of the selected characters and write it to shape keys, one a frame. "
+        "Simulate the secondary motion of the selected characters and write it to shape keys, one a frame, or a point cache. "
         "An earlier bake is replaced; other shape keys and animation are not touched"
     )
     bl_options = {"REGISTER", "UNDO"}
@@ -42,7 +43,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
         if not characters:
             cls.poll_message_set("Add Followthrough to a mesh first")
             return False
-        reason = why_not_bakeable(characters[0])
+        reason = why_not_bakeable(characters[0], characters[0].followthrough.output)
         if reason is not None:
             cls.poll_message_set(reason)
             return False
@@ -52,9 +53,8 @@ class FOLLOWTHROUGH_OT_bake(Operator):
         """Bake at once, for scripts and without a window."""
         try:
             bake = self._begin(context)
-            while not bake.advance(TIME_SLICE):
-                pass
-            self._report(bake.finish())
+            bake.advance(math.inf)
+            self._report(bake.finish(), bake.notes())
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -83,7 +83,8 @@ class FOLLOWTHROUGH_OT_bake(Operator):
             return {"CANCELLED"}
         if event.type == "ESC" and event.value == "PRESS":
             self.cancel(context)
-            self.report({"INFO"}, "Bake cancelled, nothing was changed")
+            kept = f"; it can be resumed from frame {bake.saved_frame}" if bake.saved_frame is not None else ""
+            self.report({"INFO"}, f"Bake cancelled, nothing was changed{kept}")
             return {"CANCELLED"}
         if event.type == "TIMER":
             return self._tick(context, bake)
@@ -119,7 +120,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
             self._leave(context)
             raise
         self._leave(context)
-        self._report(report)
+        self._report(report, bake.notes())
         return {"FINISHED"}
 
     def _time_slice(self) -> float:
@@ -135,10 +136,12 @@ class FOLLOWTHROUGH_OT_bake(Operator):
             context.workspace.status_text_set(None)
         _redraw_sidebars(context)
 
-    def _report(self, report: BakeReport) -> None:
+    def _report(self, report: BakeReport, notes: tuple[str, ...]) -> None:
         frames = report.end - report.start + 1
         names = ", ".join(baked.name for baked in report.objects)
         self.report({"INFO"}, f"Baked {frames} frames of {names} in {report.seconds:.1f} s")
+        for note in notes:
+            self.report({"INFO"}, note)
         for baked in report.objects:
             for warning in baked.warnings:
                 self.report({"WARNING"}, warning)

@@ -2,11 +2,19 @@
 """The bake that is running, if one is: the operator drives it, the panel shows how far it is."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import bpy
 
-from followthrough.blender import Bake, BakeReport, FrameRange, ObjectSettings
+from followthrough.blender import (
+    Bake,
+    BakeCache,
+    BakeReport,
+    FrameRange,
+    ObjectSettings,
+    cache_folder,
+    resumable_frame,
+)
 
 #: Seconds after which a frame that is still being simulated lets go of Blender's thread.
 PATIENCE = 0.05
@@ -33,6 +41,18 @@ def stop() -> None:
         _running.cancel()
 
 
+def resumable(
+    scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange | None = None
+) -> int | None:
+    """The frame at which a bake of these objects would go on where an earlier one was stopped; None where none was."""
+    return resumable_frame(cache_folder(), scene, objects, frames or FrameRange())
+
+
+def discard(scene: bpy.types.Scene, names: Iterable[str]) -> None:
+    """Delete what a stopped bake of these objects has left."""
+    BakeCache(cache_folder(), scene.name, names).remove()
+
+
 class BakeSession:
     """A bake that can be advanced a little at a time.
 
@@ -53,7 +73,7 @@ class BakeSession:
         global _running
         if _running is not None:
             raise ValueError("Another bake is under way")
-        self._bake = Bake(scene, objects, frames)
+        self._bake = Bake(scene, objects, frames, cache_folder())
         self._steps = self._bake.run(patience=PATIENCE)
         self._simulating_since = time.monotonic()
         self.object_names = tuple(objects)
@@ -84,12 +104,29 @@ class BakeSession:
             for progress in self._steps:
                 self.done = progress.done
                 if time.monotonic() >= until:
+                    self._bake.show()
                     return False
         except BaseException:
             self.cancel()
             raise
         self.is_simulated = True
         return True
+
+    @property
+    def saved_frame(self) -> int | None:
+        """The frame at which another bake would go on if this one were stopped now."""
+        return self._bake.recovery.saved_frame
+
+    def notes(self) -> tuple[str, ...]:
+        """What an artist should know about going on from an earlier bake."""
+        recovery, notes = self._bake.recovery, []
+        if recovery.resumed_from is not None:
+            notes.append(f"Resumed from frame {recovery.resumed_from}")
+        if recovery.has_begun_anew:
+            notes.append("The mesh, its animation or its paint has changed since the bake was stopped: begun anew")
+        if recovery.problem is not None:
+            notes.append(f"A stopped bake could not be resumed: {recovery.problem}")
+        return tuple(notes)
 
     def finish(self) -> BakeReport:
         """Write the shape keys; the bake is then over."""

@@ -43,7 +43,8 @@ def remove(context: bpy.types.Context, name: str) -> None:
     painted = obj.vertex_groups.active
     if obj.mode == "WEIGHT_PAINT" and obj == context.object and painted is not None and painted.name in made:
         bpy.ops.object.mode_set(mode="OBJECT")
-    if obj.data.library is None:
+    if obj.library is None:
         clear(obj)
+    if obj.data.library is None:
         remove_groups(obj, made, obj.followthrough.previous_group)
     obj.property_unset("followthrough")

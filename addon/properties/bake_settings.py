@@ -44,7 +44,13 @@ def object_settings(obj: bpy.types.Object) -> ObjectSettings:
             ),
             amplitude=settings.amplitude,
         ),
-        groups=PaintGroups(pins=tuple(PinGroup(pin.name, pin.strength) for pin in settings.pin_groups)),
+        groups=PaintGroups(
+            # A linked mesh is baked as it is painted in its own file.
+            pins=None
+            if obj.data.library is not None and not settings.pin_groups
+            else tuple(PinGroup(pin.name, pin.strength) for pin in settings.pin_groups)
+        ),
+        output=settings.output,
     )
 
 

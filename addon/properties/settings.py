@@ -297,6 +297,25 @@ class FollowthroughSettings(PropertyGroup):
         default=_VOLUME.split_parts,
     )
 
+    output: EnumProperty(  # type: ignore[valid-type]
+        name="Output",
+        description="What is written",
+        items=(
+            ("keys", "Shape Keys", "A shape key a frame on the mesh; plays in any Blender without another file"),
+            (
+                "absolute",
+                "Absolute Shape Keys",
+                "Shape keys in a row that one curve, of the evaluation time, runs through; for a mesh without other shape keys",
+            ),
+            (
+                "pc2",
+                "Point Cache (PC2)",
+                "A .pc2 file beside the .blend, and a Mesh Cache modifier that plays it. The mesh may be linked from another file",
+            ),
+        ),
+        default="keys",
+    )
+
     frame_range: EnumProperty(  # type: ignore[valid-type]
         name="Frames",
         description="Which frames are baked",

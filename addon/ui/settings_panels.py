@@ -111,6 +111,7 @@ class FOLLOWTHROUGH_PT_frames(_CharacterPanel, Panel):
             layout.prop(settings, "cycles")
         else:
             layout.prop(settings, "preroll")
+        layout.prop(settings, "output")
 
 
 class FOLLOWTHROUGH_PT_volume(_CharacterPanel, Panel):

@@ -16,6 +16,7 @@ from followthrough.character import BonePose, FloatArray, Paint, Pose, Surface
 from followthrough.controls import Amplified
 from followthrough.emulated_flesh import caution, make_emulated_flesh
 from followthrough.flesh import loose_vertices, make_flesh
+from followthrough.mesh import TetMesh
 from followthrough.settings import Settings, SpringSettings
 from followthrough.solver import Solver
 from followthrough.springs import Springs
@@ -181,6 +182,8 @@ class SecondaryMotion:
         Volume and solver.
     dt
         Seconds a frame.
+    tet_mesh
+        As in `build_volume`.
 
     Raises
     ------
@@ -188,11 +191,13 @@ class SecondaryMotion:
         Where the arrays do not fit each other, or the solver cannot be made for them.
     """
 
-    def __init__(self, surface: Surface, paint: Paint, settings: Settings, dt: float) -> None:
+    def __init__(
+        self, surface: Surface, paint: Paint, settings: Settings, dt: float, tet_mesh: TetMesh | None = None
+    ) -> None:
         if not (np.isfinite(dt) and dt > 0):
             raise ValueError(f"dt: found {dt:g}, expected a positive number of seconds")
         self.settings = settings
-        self.volume = build_volume(surface, paint, settings.volume)
+        self.volume = build_volume(surface, paint, settings.volume, tet_mesh)
         self.solver = make_solver(self.volume, settings, dt)
         self.caution = caution(surface, paint, settings, dt, self.volume.tet_mesh)
         self._rigged = None if surface.rig is None else RiggedMotion(self.volume, self.solver, settings.minimum_stretch)

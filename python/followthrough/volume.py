@@ -88,7 +88,26 @@ class Volume:
         )
 
 
-def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None = None) -> Volume:
+def make_tets(surface: Surface, settings: VolumeSettings) -> mesh.TetMesh:
+    """The tets of a character's volume; neither its rig nor what is painted has a say in them.
+
+    Raises
+    ------
+    ValueError
+        Where the surface is empty or not finite.
+    """
+    return mesh.tetrahedralize(
+        surface.rest_positions @ surface.object_scale.T,
+        surface.triangles,
+        cells=settings.cells,
+        split_parts=settings.split_parts,
+        method=settings.method,
+    )
+
+
+def build_volume(
+    surface: Surface, paint: Paint, settings: VolumeSettings | None = None, tet_mesh: mesh.TetMesh | None = None
+) -> Volume:
     """Make the volume of a character.
 
     Parameters
@@ -99,6 +118,8 @@ def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None
         Painted values of its vertices.
     settings
         Size and method.
+    tet_mesh
+        What `make_tets` gave for this surface and these settings, where the caller has that already.
 
     Raises
     ------
@@ -114,9 +135,8 @@ def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None
                 f"paint.{name}: found shape {values.shape}, expected ({count},), one value a surface vertex"
             )
     metres = surface.rest_positions @ surface.object_scale.T
-    tet_mesh = mesh.tetrahedralize(
-        metres, surface.triangles, cells=settings.cells, split_parts=settings.split_parts, method=settings.method
-    )
+    if tet_mesh is None:
+        tet_mesh = make_tets(surface, settings)
     transfer = mesh.SurfaceTransfer(metres, surface.triangles, tet_mesh)
     painted = np.clip(transfer(np.column_stack([paint.stiffness, paint.mass, paint.pins])), 0.0, 1.0)
     stiffness, mass, pins = painted.T.copy()

@@ -14,6 +14,7 @@ Messages of `NotBakeableError` and of every other `ValueError` are meant for the
 """
 
 from followthrough.blender.bake import Bake, FrameRange, ObjectSettings, Progress
+from followthrough.blender.bake_cache import BakeCache, cache_folder, resumable_frame
 from followthrough.blender.bake_report import BakeReport, ObjectReport
 from followthrough.blender.cautions import caution_before_bake
 from followthrough.blender.groups import (
@@ -27,20 +28,23 @@ from followthrough.blender.groups import (
     remove_groups,
     write_group,
 )
+from followthrough.blender.outputs import OUTPUTS, OutputKind, baked_range, clear
 from followthrough.blender.rig_reading import read_surface
 from followthrough.blender.scene import NotBakeableError, action_frames, skinned_meshes, why_not_bakeable
-from followthrough.blender.shape_keys import baked_range, clear
 
 __all__ = [
     "MASS_GROUP",
+    "OUTPUTS",
     "PINS_GROUP",
     "STIFFNESS_GROUP",
     "Bake",
+    "BakeCache",
     "BakeReport",
     "FrameRange",
     "NotBakeableError",
     "ObjectReport",
     "ObjectSettings",
+    "OutputKind",
     "PaintGroups",
     "PinGroup",
     "Progress",
@@ -48,10 +52,12 @@ __all__ = [
     "add_groups",
     "baked_range",
     "caution_before_bake",
+    "cache_folder",
     "clear",
     "read_paint",
     "read_surface",
     "remove_groups",
+    "resumable_frame",
     "skinned_meshes",
     "why_not_bakeable",
     "write_group",

@@ -105,6 +105,18 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--stiffness-group", metavar="NAME", help="vertex group of painted stiffness")
     parser.add_argument("--mass-group", metavar="NAME", help="vertex group of painted mass")
+    parser.add_argument(
+        "--output-kind",
+        choices=("keys", "absolute", "pc2"),
+        default="keys",
+        help="relative shape keys, absolute ones in a row, or a point cache (.pc2) beside OUT and a Mesh Cache modifier, "
+        "also for linked meshes (default %(default)s)",
+    )
+    parser.add_argument(
+        "--no-resume",
+        action="store_true",
+        help="begin anew even where an interrupted bake of the same left frames beside OUT",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
@@ -196,7 +208,7 @@ def run(args: argparse.Namespace) -> int:
     except ImportError as problem:
         raise ValueError(_NO_BLENDER) from problem
     from followthrough import blender
-    from followthrough.blender import actions, files
+    from followthrough.blender import actions, files, point_cache
     from followthrough.blender.scene import skeleton_of
 
     groups = blender.PaintGroups(
@@ -204,7 +216,7 @@ def run(args: argparse.Namespace) -> int:
         mass=args.mass_group,
         pins=None if args.pin_groups is None else tuple(_pin_group(text) for text in args.pin_groups),
     )
-    settings = blender.ObjectSettings(motion=motion, groups=groups)
+    settings = blender.ObjectSettings(motion=motion, groups=groups, output=args.output_kind)
     files.require_output(args.output)
     imported = files.open_file(args.input)
     if bpy.app.autoexec_fail:
@@ -231,12 +243,17 @@ def run(args: argparse.Namespace) -> int:
     )
     for scene_name, names in chosen.items():
         scene = bpy.data.scenes[scene_name]
-        report = _bake(scene, dict.fromkeys(names, settings), frames, args.quiet)
+        if args.no_resume:
+            blender.BakeCache(blender.cache_folder(args.output), scene_name, names).remove()
+        report = _bake(scene, dict.fromkeys(names, settings), frames, args)
         if imported:
             scene.frame_start, scene.frame_end = report.start, report.end
             scene.frame_set(report.start)
         _print_report(report)
     files.save_file(args.output, pack=imported)
+    if args.output_kind == "pc2":
+        for name in (name for names in chosen.values() for name in names):
+            print(f"{point_cache.path_of(args.output, name)}: written")
     print(f"{args.output}: written")
     return 0
 
@@ -293,14 +310,31 @@ def _explain_nothing_to_bake() -> None:
     raise ValueError(next(reasons, "no mesh of the file is moved by an armature: choose one with --object"))
 
 
-def _bake(scene: bpy.types.Scene, objects: dict[str, ObjectSettings], frames: FrameRange, quiet: bool) -> BakeReport:
+def _bake(
+    scene: bpy.types.Scene, objects: dict[str, ObjectSettings], frames: FrameRange, args: argparse.Namespace
+) -> BakeReport:
     from followthrough import blender
 
-    bake = blender.Bake(scene, objects, frames)
+    cache = blender.cache_folder(args.output)
+    bake = blender.Bake(scene, objects, frames, cache, blend=args.output)
     for caution in bake.cautions:
         print(f"followthrough: warning: {caution} (--solver implicit-euler)", file=sys.stderr)
-    for _ in with_progress(_Steps(bake), "bake", quiet=quiet):
-        pass
+    recovery = bake.recovery
+    try:
+        for _ in with_progress(_Steps(bake), "bake", quiet=args.quiet):
+            pass
+    except KeyboardInterrupt:
+        if recovery.saved_frame is not None:
+            print(
+                f"followthrough: the same command goes on from frame {recovery.saved_frame} ({cache})", file=sys.stderr
+            )
+        raise
+    if recovery.resumed_from is not None:
+        print(f"followthrough: went on from frame {recovery.resumed_from}", file=sys.stderr)
+    if recovery.has_begun_anew:
+        print("followthrough: what an earlier bake left was of something else: begun anew", file=sys.stderr)
+    if recovery.problem is not None:
+        print(f"followthrough: warning: no cache could be written ({recovery.problem})", file=sys.stderr)
     return bake.finish()
 
 
