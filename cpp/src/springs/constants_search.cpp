@@ -13,7 +13,7 @@ namespace {
 const LogConstants lowest(std::log(1e-6), std::log(1e-6));
 const LogConstants highest(std::log(1e12), std::log(1e9));
 // What decides where the motion does not: a pull to the usual constants, of the logarithms' squares, as a share of the motion.
-constexpr double pull = 1e-10;
+constexpr double least_pull = 1e-10;
 const LogConstants usual(std::log(usual_stiffness), std::log(usual_damping));
 
 constexpr int most_steps = 60;
@@ -176,7 +176,7 @@ class Population {
 
 Found search_constants(const VertexMotion& motion, double dt, const SpringFitSettings& settings, VertexRandom random,
                        const LogConstants* start) {
-  const double strength = pull * motion.weight_of_wanted();
+  const double strength = least_pull * motion.weight_of_wanted();
   const auto value = [&](const LogConstants& at) {
     const double loss = motion.loss(std::exp(at[0]), std::exp(at[1])) + strength * (at - usual).squaredNorm();
     return std::isfinite(loss) ? loss : std::numeric_limits<double>::max();
@@ -212,6 +212,15 @@ Found search_constants(const VertexMotion& motion, double dt, const SpringFitSet
   const auto deepest =
       std::min_element(starts.begin(), starts.end(), [](const Found& a, const Found& b) { return a.value < b.value; });
   return minimize(whole, deepest->constants, most_steps);
+}
+
+Found pulled_constants(const VertexMotion& motion, const Found& found, double pull) {
+  const double strength = std::max(pull, least_pull) * motion.weight_of_wanted();
+  const auto whole = [&](const LogConstants& at) {
+    return with_pull(motion.loss_gradient(std::exp(at[0]), std::exp(at[1])), at, strength);
+  };
+  const Found near = minimize(whole, found.constants, most_steps), far = minimize(whole, usual, most_steps);
+  return far.value < near.value ? far : near;
 }
 
 }  // namespace followthrough

@@ -39,4 +39,8 @@ class VertexRandom {
 Found search_constants(const VertexMotion& motion, double dt, const SpringFitSettings& settings, VertexRandom random,
                        const LogConstants* start);
 
+/// @brief The minimum of the loss and a pull to the usual constants, near one that search_constants has found.
+/// @param pull of the squared difference of the logarithms, as a share of the motion
+Found pulled_constants(const VertexMotion& motion, const Found& found, double pull);
+
 }  // namespace followthrough

@@ -23,7 +23,9 @@ constexpr double rounding_share = 1e-26;  // squared: 1e-13 of the distance
 // ks dt^2 of a vertex that never leaves its reference: a frame's lag is then below a thousandth of what the target accelerates in
 // it.
 constexpr double rigid_rate = 1e3;
-constexpr int most_rounds = 4;  // of leaving out frames and fitting again
+// The pull to the usual constants beside the pull to less motion: the best of 0 to 0.1 on motions that were not learned from.
+constexpr double pull_of_share = 0.03;
+constexpr double least_regularization = 1e-8;
 // Nanoseconds a step of one vertex, for worthwhile_threads.
 constexpr double fit_cost = 3000, loss_cost = 30;
 
@@ -102,25 +104,22 @@ struct VertexFit {
   SpringFitStatus status;
 };
 
-// Weight 0 for the share of frames with the greatest error, 1 for the others; whether that changed anything.
-bool drop_worst(const std::vector<double>& errors, double share, std::vector<double>& weights) {
+// Weight 0 for the share of frames with the greatest error, 1 for the others.
+void drop_worst(const std::vector<double>& errors, double share, std::vector<double>& weights) {
   const auto count = static_cast<std::size_t>(std::ceil(share * static_cast<double>(errors.size())));
   std::vector<std::size_t> order(errors.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
   std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return errors[a] > errors[b]; });
-  std::vector<double> now(errors.size(), 1.0);
+  weights.assign(errors.size(), 1.0);
   // At least two frames are left: as many as there are unknowns.
   for (std::size_t i = 0; i < count && i + 2 < order.size(); ++i) {
-    now[order[i]] = 0.0;
+    weights[order[i]] = 0.0;
   }
-  const bool changed = now != weights;
-  weights = now;
-  return changed;
 }
 
 VertexFit fit_vertex(std::span<const SpringTraining> motions, Eigen::Index vertex, const SpringFitSettings& settings, double dt,
                      VertexMotion& motion) {
-  motion.read(motions, vertex, 1.0 / (1.0 + settings.regularization));
+  motion.read(motions, vertex);
   VertexFit fit{usual_stiffness, usual_damping, motion.lag(), motion.lag(), SpringFitStatus::fitted};
   const double nothing = std::max(still_share * motion.extent(), rounding_share * (motion.extent() + motion.size()));
   if (motion.excitation() <= nothing) {
@@ -135,17 +134,21 @@ VertexFit fit_vertex(std::span<const SpringTraining> motions, Eigen::Index verte
   } else {
     const VertexRandom random(settings.seed, static_cast<std::uint64_t>(vertex));
     Found found = search_constants(motion, dt, settings, random, nullptr);
-    for (int round = 0; settings.dropped_share > 0.0 && round < most_rounds; ++round) {
+    if (settings.dropped_share > 0.0) {
       motion.squared_errors(std::exp(found.constants[0]), std::exp(found.constants[1]), errors);
-      if (!drop_worst(errors, settings.dropped_share, motion.weights())) {
-        break;
-      }
+      drop_worst(errors, settings.dropped_share, motion.weights());
       found = search_constants(motion, dt, settings, random, &found.constants);
+    }
+    const double unexplained = motion.loss(std::exp(found.constants[0]), std::exp(found.constants[1])) / motion.weight_of_wanted();
+    const double share = settings.regularization * unexplained;
+    if (share > least_regularization) {
+      motion.scale_wanted(1.0 / (1.0 + share));
+      found = pulled_constants(motion, found, pull_of_share * share);
     }
     fit.stiffness = std::exp(found.constants[0]);
     fit.damping = std::exp(found.constants[1]);
   }
-  motion.read(motions, vertex, 1.0);
+  motion.read(motions, vertex);
   fit.loss = motion.loss(fit.stiffness, fit.damping);
   return fit;
 }
@@ -204,7 +207,7 @@ SpringLoss spring_loss(std::span<const SpringTraining> motions, ConstVector stif
     VertexMotion motion;
 #pragma omp for schedule(static)
     for (Eigen::Index v = 0; v < vertices; ++v) {
-      motion.read(motions, v, 1.0);
+      motion.read(motions, v);
       const LossGradient sums = motion.loss_gradient(stiffness[v], damping[v]);
       result.loss[v] = sums.loss;
       result.by_stiffness[v] = sums.gradient[0];

@@ -46,7 +46,7 @@ LossGradient none() { return {0.0, Eigen::Vector2d::Zero(), Eigen::Matrix2d::Zer
 
 }  // namespace
 
-void VertexMotion::read(std::span<const SpringTraining> motions, Eigen::Index vertex, double wanted_scale) {
+void VertexMotion::read(std::span<const SpringTraining> motions, Eigen::Index vertex) {
   runs_.clear();
   bend_.clear();
   turn_.clear();
@@ -69,7 +69,7 @@ void VertexMotion::read(std::span<const SpringTraining> motions, Eigen::Index ve
       bend_.push_back((slope + next_slope) - (step + step));
       turn_.push_back(next_slope - slope);
       const Axes lag = at(motion.dynamic, frame + 1) - next;
-      wanted_.push_back(wanted_scale * lag);
+      wanted_.push_back(lag);
       excitation_ += (bend_.back() * bend_.back() + turn_.back() * turn_.back()).sum();
       lag_ += (lag * lag).sum();
       extent_ += ((next - start) * (next - start)).sum();
@@ -81,6 +81,12 @@ void VertexMotion::read(std::span<const SpringTraining> motions, Eigen::Index ve
     runs_.push_back({first_step, wanted_.size(), motion.dt});
   }
   weights_.assign(wanted_.size(), 1.0);
+}
+
+void VertexMotion::scale_wanted(double factor) {
+  for (Axes& wanted : wanted_) {
+    wanted *= factor;
+  }
 }
 
 double VertexMotion::weight_of_wanted() const {

@@ -23,8 +23,10 @@ struct LossGradient {
 
 class VertexMotion {
  public:
-  /// @param dropped_scale what is wanted is the simulated lag times this
-  void read(std::span<const SpringTraining> motions, Eigen::Index vertex, double wanted_scale);
+  /// What is wanted is the simulated lag from the reference, and all frames count.
+  void read(std::span<const SpringTraining> motions, Eigen::Index vertex);
+  /// What is wanted becomes so many times what it was.
+  void scale_wanted(double factor);
 
   /// @name Sums over all frames, m^2
   /// @{

@@ -158,14 +158,21 @@ TEST_CASE("the fit depends on neither threads, nor other vertices, nor how they 
   CHECK(same_bits(part.damping, one.damping.segment(20, 13)));
 }
 
-TEST_CASE("a larger regularization keeps the shape of the motion and shrinks it") {
-  const Synthetic truth = synthetic(100, 5);
-  SpringFitSettings strong;
-  strong.regularization = 0.5;
-  const SpringFit found = fit(truth.motion, strong);
-  const Values smaller = simulated(truth.motion.reference, found.stiffness, found.damping);
+TEST_CASE("regularization shrinks motion that springs cannot describe, and only that") {
+  Synthetic truth = synthetic(100, 5);
   const double size = (truth.motion.dynamic - truth.motion.reference).norm();
-  CHECK((smaller - truth.motion.reference).norm() < 0.9 * size);
+  SpringFitSettings strong, none;
+  strong.regularization = 3.0;
+  none.regularization = 0.0;
+  CHECK(worst_error(fit(truth.motion, strong), truth) < 0.01);
+  std::mt19937 random(6);
+  std::normal_distribution<double> number(0.0, size / std::sqrt(static_cast<double>(truth.motion.dynamic.size())));
+  truth.motion.dynamic.bottomRows(99) += Values::NullaryExpr(99, 300, [&] { return number(random); });
+  const auto motion_of = [&](const SpringFitSettings& settings) {
+    const SpringFit found = fit(truth.motion, settings);
+    return (simulated(truth.motion.reference, found.stiffness, found.damping) - truth.motion.reference).norm();
+  };
+  CHECK(motion_of(strong) < 0.8 * motion_of(none));
 }
 
 TEST_CASE("several motions are learned from together") {

@@ -23,9 +23,11 @@ struct SpringTraining {
 };
 
 struct SpringFitSettings {
-  /// Share of the springs' own motion that is added to the loss: the fit keeps the motion's shape and gives it 1 / (1 + share) of
-  /// its size. [ZS] section 7 tells of such a loss of size "due to regularization".
-  double regularization = 1e-3;
+  /// How strongly motion that springs cannot describe holds them back. Where the best constants leave a share e of the simulated
+  /// motion unexplained (loss over loss without springs), r = regularization * e times the springs' own motion is added to the
+  /// loss: the minimum is that of a fit to 1 / (1 + r) of the motion, the same shape, smaller ([ZS] section 7, figure 3); and a
+  /// weak pull to the usual constants. Motion that springs describe exactly is found exactly. 0: none.
+  double regularization = 1.0;
   /// Share of every vertex's frames, those of the greatest error, that is left out of a second fit ([ZS] figure 7). 0: none.
   double dropped_share = 0.0;
   std::uint64_t seed = 0;  ///< of the genetic algorithm
