@@ -113,12 +113,14 @@ class SpringFit:
     @property
     def learned(self) -> NDArray[np.bool_]:
         """(n,) bool: vertices whose motion told their constants."""
-        return (self.status == FitStatus.FITTED) | (self.status == FitStatus.RIGID)
+        learned: NDArray[np.bool_] = np.isin(self.status, (FitStatus.FITTED, FitStatus.RIGID))
+        return learned
 
     @property
     def overdamped(self) -> NDArray[np.bool_]:
         """(n,) bool: kd² - 4 ks > 0."""
-        return self.damping**2 > 4.0 * self.stiffness
+        overdamped: NDArray[np.bool_] = self.damping**2 > 4.0 * self.stiffness
+        return overdamped
 
     @property
     def rmse(self) -> float:
@@ -178,8 +180,9 @@ def fit_springs(
         _core.fit_springs(*_lists(motions), left_out, block.start, len(block), _settings_of_core(settings))
         for block in blocks([range(first, min(first + _BLOCK, count)) for first in range(0, count, _BLOCK)])
     ]
-    columns = [np.concatenate(column) for column in zip(*results, strict=True)]
-    fit = SpringFit(*columns, steps=sum(len(motion.reference) - 1 for motion in motions))
+    ks, kd, loss, reference_loss, status = (np.concatenate(column) for column in zip(*results, strict=True))
+    steps = sum(len(motion.reference) - 1 for motion in motions)
+    fit = SpringFit(ks, kd, loss, reference_loss, status, steps)
     if not fit.learned.any():
         raise ValueError(
             "motions: found no vertex whose reference speeds up, slows down or turns, expected a motion that makes flesh swing"

@@ -43,7 +43,9 @@ def loss(stiffness: mpmath.mpf, damping: mpmath.mpf) -> mpmath.mpf:
     """[ZS] eq. 14 of that motion."""
     reference, wanted = motion()
     last = len(reference) - 1
-    slopes = [(reference[min(n + 1, last)] - reference[max(n - 1, 0)]) / (1 if n in (0, last) else 2) for n in range(last + 1)]
+    slopes = [
+        (reference[min(n + 1, last)] - reference[max(n - 1, 0)]) / (1 if n in (0, last) else 2) for n in range(last + 1)
+    ]
     decay, impulse, slope, restoring, acceleration, acceleration_slope = factors_of(stiffness, damping, DURATION)
     lag = rate = total = mpmath.mpf(0)
     for n in range(last):
