@@ -14,6 +14,7 @@ import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from followthrough.datasets import HeldOutRecipe
 from followthrough.elastic import ElasticBody, ImplicitEuler
@@ -37,6 +38,7 @@ class Row:
     skinning: float
     default: float
     learned: float
+    equilibria: float
     over_equilibria: float
 
 
@@ -71,8 +73,14 @@ def learn(sequence: Sequence) -> Springs:
 def error(sequence: Sequence, springs: Springs) -> float:
     """Of springs in a dance."""
     found = simulate(sequence, springs).dynamic
-    assert found is not None and sequence.dynamic is not None
-    return float(np.sqrt(np.mean((found - sequence.dynamic) ** 2)))
+    assert found is not None
+    return distance(found, sequence)
+
+
+def distance(positions: NDArray[np.float64], sequence: Sequence) -> float:
+    """Of positions (F, n, 3) to the truth."""
+    assert sequence.dynamic is not None
+    return float(np.sqrt(np.mean((positions - sequence.dynamic) ** 2)))
 
 
 def measure(character: str, stiffer: float, count: int, frames: int) -> list[Row]:
@@ -84,15 +92,15 @@ def measure(character: str, stiffer: float, count: int, frames: int) -> list[Row
     default = Springs(*uniform_constants(first.vertex_count), first.dt, first.constrained)
     rows = []
     for place, (sequence, rests) in enumerate(zip(sequences, resting, strict=True)):
-        assert sequence.dynamic is not None
         rows.append(
             Row(
                 character,
                 stiffer,
                 "learned from" if place == 0 else f"new, {place}",
-                float(np.sqrt(np.mean((sequence.reference - sequence.dynamic) ** 2))),
+                distance(sequence.reference, sequence),
                 error(sequence, default),
                 error(sequence, learned),
+                distance(rests.reference, sequence),
                 error(rests, learned_over),
             )
         )
@@ -106,14 +114,17 @@ def main() -> None:
     parser.add_argument("--dances", metavar="N", type=int, default=3, help="that were not learned from")
     parser.add_argument("--frames", metavar="N", type=int, default=145, help="of each, 96 or more")
     args = parser.parse_args()
-    print("| character | E, Pa | dance | skinning, m | default springs | learned | share left | over equilibria |")
+    print(
+        "| character | E, Pa | dance | skinning, m | default springs | learned springs | equilibria | springs over equilibria |"
+    )
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for stiffer in args.stiffer:
         for character in CHARACTERS:
             for row in measure(character, stiffer, args.dances, args.frames):
                 print(
                     f"| {row.character} | {5e4 * row.stiffer:.0e} | {row.dance} | {row.skinning:.4f} | {row.default:.4f} | "
-                    f"{row.learned:.4f} | {row.learned / row.skinning:.2f} | {row.over_equilibria:.4f} |",
+                    f"{row.learned:.4f} ({row.learned / row.skinning:.2f}) | {row.equilibria:.4f} "
+                    f"({row.equilibria / row.skinning:.2f}) | {row.over_equilibria:.4f} ({row.over_equilibria / row.skinning:.2f}) |",
                     flush=True,
                 )
 

@@ -3,10 +3,11 @@
 
 import time
 from collections.abc import Mapping
+from typing import Any
 
 import bpy
 
-from followthrough.blender import Bake, BakeReport, FrameRange, ObjectSettings
+from followthrough.blender import Bake, FrameRange, ObjectSettings
 
 #: Seconds after which a frame that is still being simulated lets go of Blender's thread.
 PATIENCE = 0.05
@@ -40,6 +41,10 @@ class BakeSession:
     ----------
     scene, objects, frames
         As in `followthrough.blender.Bake`.
+    make
+        What is run: `Bake`, or something that is driven as one.
+    doing, finishing
+        What the status line calls a step, and the end.
 
     Raises
     ------
@@ -48,12 +53,19 @@ class BakeSession:
     """
 
     def __init__(
-        self, scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange | None = None
+        self,
+        scene: bpy.types.Scene,
+        objects: Mapping[str, ObjectSettings],
+        frames: FrameRange | None = None,
+        make: type[Bake] = Bake,
+        doing: str = "Baking frame",
+        finishing: str = "Writing shape keys",
     ) -> None:
         global _running
         if _running is not None:
             raise ValueError("Another bake is under way")
-        self._bake = Bake(scene, objects, frames)
+        self._bake = make(scene, objects, frames)
+        self._words = (doing, finishing)
         self._steps = self._bake.run(patience=PATIENCE)
         self._simulating_since = time.monotonic()
         self.object_names = tuple(objects)
@@ -91,8 +103,8 @@ class BakeSession:
         self.is_simulated = True
         return True
 
-    def finish(self) -> BakeReport:
-        """Write the shape keys; the bake is then over."""
+    def finish(self) -> Any:
+        """Write what was made, which is then over; the report of it."""
         try:
             report = self._bake.finish()
         except BaseException:
@@ -120,10 +132,10 @@ class BakeSession:
     def status(self) -> str:
         """How far it is, for the panel."""
         if self.is_simulated:
-            return "Writing shape keys"
+            return self._words[1]
         frame = min(self.done + 1, self.total)
         left = self.seconds_left()
         if left is None:
-            return f"Baking frame {frame} of {self.total}"
+            return f"{self._words[0]} {frame} of {self.total}"
         minutes, seconds = divmod(round(left), 60)
-        return f"Baking frame {frame} of {self.total}, {minutes}:{seconds:02d} left"
+        return f"{self._words[0]} {frame} of {self.total}, {minutes}:{seconds:02d} left"

@@ -8,6 +8,9 @@ from followthrough.blender import PINS_GROUP, add_groups, why_not_bakeable
 
 from ..characters import active_mesh
 
+#: Frames that springs are learned from, unless others are chosen.
+LEARNED_FRAMES = 96
+
 
 class FOLLOWTHROUGH_OT_add(Operator):
     bl_idname = "followthrough.add"
@@ -47,6 +50,8 @@ class FOLLOWTHROUGH_OT_add(Operator):
         if PINS_GROUP not in settings.pin_groups:
             settings.pin_groups.add().name = PINS_GROUP
         settings.frame_start, settings.frame_end = context.scene.frame_start, context.scene.frame_end
+        settings.learn_start = context.scene.frame_start
+        settings.learn_end = min(context.scene.frame_end, context.scene.frame_start + LEARNED_FRAMES - 1)
         settings.is_added = True
         self.report({"INFO"}, f"Created {', '.join(created)}" if created else "The mesh has its groups already")
         return {"FINISHED"}

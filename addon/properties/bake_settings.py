@@ -28,6 +28,7 @@ def object_settings(obj: bpy.types.Object) -> ObjectSettings:
                     stiffness_from_frequency(settings.frequency_stiff),
                 ),
                 damping_ratio=settings.damping_ratio,
+                use_learned=settings.use_learned,
             ),
             simulation=SimulationSettings(
                 youngs_modulus_range=(KILO * settings.modulus_soft, KILO * settings.modulus_stiff),

@@ -39,12 +39,18 @@ class SpringSettings:
         Spring damping kd (1/s, divided by the mass), the same everywhere; None: from `damping_ratio`.
     mass_range
         Mass factor where the mass group is painted 0 and 1, logarithmic between; both constants are divided by it.
+    use_learned
+        Whether springs that were learned take the place of painted ones, where there are any.
+    scale_learned
+        Whether what is set and painted now, over what it was when they were learned, scales them.
     """
 
     stiffness_range: tuple[float, float] = (250.0, 4000.0)
     damping_ratio: float = 0.25
     damping: float | None = None
     mass_range: tuple[float, float] = (0.25, 4.0)
+    use_learned: bool = True
+    scale_learned: bool = True
 
     def __post_init__(self) -> None:
         _require_range("stiffness_range", *self.stiffness_range)

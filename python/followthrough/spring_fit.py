@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -171,23 +172,67 @@ def fit_springs(
     ValueError
         Where motions have fewer than two frames, do not fit each other or are not finite, or nothing in them accelerates.
     """
-    motions, settings = list(motions), settings or FitSettings()
-    if not motions:
-        raise ValueError("motions: found none, expected one or more")
-    count = motions[0].reference.shape[1]
-    left_out = np.zeros(count, dtype=np.bool_) if skipped is None else array_checks.mask("skipped", skipped, count)
-    results = [
-        _core.fit_springs(*_lists(motions), left_out, block.start, len(block), _settings_of_core(settings))
-        for block in blocks([range(first, min(first + _BLOCK, count)) for first in range(0, count, _BLOCK)])
-    ]
-    ks, kd, loss, reference_loss, status = (np.concatenate(column) for column in zip(*results, strict=True))
-    steps = sum(len(motion.reference) - 1 for motion in motions)
-    fit = SpringFit(ks, kd, loss, reference_loss, status, steps)
-    if not fit.learned.any():
-        raise ValueError(
-            "motions: found no vertex whose reference speeds up, slows down or turns, expected a motion that makes flesh swing"
+    fitting = Fitting(motions, settings, skipped=skipped)
+    for block in blocks(fitting.blocks):
+        fitting.fit(block)
+    return fitting.result()
+
+
+class Fitting:
+    """`fit_springs` a block of vertices at a time, for callers that have other things to do between.
+
+    Parameters
+    ----------
+    motions, settings, skipped
+        As for `fit_springs`.
+
+    Attributes
+    ----------
+    blocks : list of range
+        Vertices that `fit` takes at a time, in this order.
+    """
+
+    def __init__(
+        self, motions: Iterable[Training], settings: FitSettings | None = None, *, skipped: ArrayLike | None = None
+    ) -> None:
+        self._motions = list(motions)
+        if not self._motions:
+            raise ValueError("motions: found none, expected one or more")
+        count = self._motions[0].reference.shape[1]
+        self._settings = _settings_of_core(settings or FitSettings())
+        self._skipped = (
+            np.zeros(count, dtype=np.bool_) if skipped is None else array_checks.mask("skipped", skipped, count)
         )
-    return fit
+        self._parts: list[tuple[NDArray[Any], ...]] = []
+        self.blocks = blocks_of(count)
+
+    def fit(self, block: range) -> None:
+        """Fit the next block."""
+        self._parts.append(
+            _core.fit_springs(*_lists(self._motions), self._skipped, block.start, len(block), self._settings)
+        )
+
+    def result(self) -> SpringFit:
+        """All of it, after the last block.
+
+        Raises
+        ------
+        ValueError
+            Where nothing in the motions accelerates.
+        """
+        ks, kd, loss, reference_loss, status = (np.concatenate(column) for column in zip(*self._parts, strict=True))
+        steps = sum(len(motion.reference) - 1 for motion in self._motions)
+        fit = SpringFit(ks, kd, loss, reference_loss, status, steps)
+        if not fit.learned.any():
+            raise ValueError(
+                "motions: found no vertex whose reference speeds up, slows down or turns, expected a motion that makes flesh swing"
+            )
+        return fit
+
+
+def blocks_of(vertex_count: int) -> list[range]:
+    """Vertices that are fitted in one call."""
+    return [range(first, min(first + _BLOCK, vertex_count)) for first in range(0, vertex_count, _BLOCK)]
 
 
 def spring_loss(

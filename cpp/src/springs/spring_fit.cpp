@@ -117,6 +117,30 @@ void drop_worst(const std::vector<double>& errors, double share, std::vector<dou
   }
 }
 
+double loss_of(const VertexMotion& motion, const Found& found) {
+  return motion.loss(std::exp(found.constants[0]), std::exp(found.constants[1]));
+}
+
+// Holds back what the best constants cannot explain (SpringFitSettings::regularization).
+Found regularized(VertexMotion& motion, const Found& found, double regularization, const LogConstants& rigid) {
+  const double nothing = motion.weight_of_wanted();
+  const double share = regularization * loss_of(motion, found) / nothing;
+  if (!(share > least_regularization)) {
+    return found;
+  }
+  motion.scale_wanted(1.0 / (1.0 + share));
+  const Found pulled = pulled_constants(motion, found, pull_of_share * share);
+  // The pull may cost more than springs bring at all, where they bring little; less motion alone never does.
+  const Found calm = pulled_constants(motion, found, 0.0);
+  motion.scale_wanted(1.0 + share);
+  for (const Found& one : {pulled, calm}) {
+    if (loss_of(motion, one) < nothing) {
+      return one;
+    }
+  }
+  return {rigid, nothing};
+}
+
 VertexFit fit_vertex(std::span<const SpringTraining> motions, Eigen::Index vertex, const SpringFitSettings& settings, double dt,
                      VertexMotion& motion) {
   motion.read(motions, vertex);
@@ -126,25 +150,21 @@ VertexFit fit_vertex(std::span<const SpringTraining> motions, Eigen::Index verte
     fit.status = SpringFitStatus::unmoved;
     return fit;
   }
-  std::vector<double> errors;
+  const double rigid_stiffness = rigid_rate / (dt * dt), rigid_damping = 2.0 * std::sqrt(rigid_stiffness);
   if (motion.lag() <= nothing) {
     fit.status = SpringFitStatus::rigid;
-    fit.stiffness = rigid_rate / (dt * dt);
-    fit.damping = 2.0 * std::sqrt(fit.stiffness);
+    fit.stiffness = rigid_stiffness;
+    fit.damping = rigid_damping;
   } else {
     const VertexRandom random(settings.seed, static_cast<std::uint64_t>(vertex));
     Found found = search_constants(motion, dt, settings, random, nullptr);
     if (settings.dropped_share > 0.0) {
+      std::vector<double> errors;
       motion.squared_errors(std::exp(found.constants[0]), std::exp(found.constants[1]), errors);
       drop_worst(errors, settings.dropped_share, motion.weights());
       found = search_constants(motion, dt, settings, random, &found.constants);
     }
-    const double unexplained = motion.loss(std::exp(found.constants[0]), std::exp(found.constants[1])) / motion.weight_of_wanted();
-    const double share = settings.regularization * unexplained;
-    if (share > least_regularization) {
-      motion.scale_wanted(1.0 / (1.0 + share));
-      found = pulled_constants(motion, found, pull_of_share * share);
-    }
+    found = regularized(motion, found, settings.regularization, {std::log(rigid_stiffness), std::log(rigid_damping)});
     fit.stiffness = std::exp(found.constants[0]);
     fit.damping = std::exp(found.constants[1]);
   }

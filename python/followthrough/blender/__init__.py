@@ -26,6 +26,8 @@ from followthrough.blender.groups import (
     remove_groups,
     write_group,
 )
+from followthrough.blender.learned_springs import has_learned, read_learned, remove_learned
+from followthrough.blender.learning import Learning, LearningReport, ObjectLearning
 from followthrough.blender.rig_reading import read_surface
 from followthrough.blender.scene import NotBakeableError, action_frames, skinned_meshes, why_not_bakeable
 from followthrough.blender.shape_keys import baked_range, clear
@@ -37,7 +39,10 @@ __all__ = [
     "Bake",
     "BakeReport",
     "FrameRange",
+    "Learning",
+    "LearningReport",
     "NotBakeableError",
+    "ObjectLearning",
     "ObjectReport",
     "ObjectSettings",
     "PaintGroups",
@@ -47,9 +52,12 @@ __all__ = [
     "add_groups",
     "baked_range",
     "clear",
+    "has_learned",
+    "read_learned",
     "read_paint",
     "read_surface",
     "remove_groups",
+    "remove_learned",
     "skinned_meshes",
     "why_not_bakeable",
     "write_group",

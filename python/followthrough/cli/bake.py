@@ -116,6 +116,13 @@ def _add_solver_arguments(parser: argparse.ArgumentParser) -> None:
         f"(default {springs.stiffness_range[0]:g}:{springs.stiffness_range[1]:g})",
     )
     group.add_argument("--damping", metavar="KD", type=float, help="spring damping, 1/s, the same everywhere")
+    group.add_argument(
+        "--no-learned",
+        dest="use_learned",
+        action="store_const",
+        const=False,
+        help="painted springs even where the file has some that were learned from a simulation",
+    )
     group = parser.add_argument_group("implicit-euler")
     group.add_argument(
         "--youngs-modulus",
@@ -142,7 +149,7 @@ def _add_solver_arguments(parser: argparse.ArgumentParser) -> None:
 
 #: Solver -> the options that it has.
 _OPTIONS = {
-    "springs": ("stiffness", "damping", "damping_ratio"),
+    "springs": ("stiffness", "damping", "damping_ratio", "use_learned"),
     "implicit-euler": ("youngs_modulus", "density", "gravity", "quality", "damping_ratio"),
 }
 
@@ -151,7 +158,13 @@ def _motion_settings(args: argparse.Namespace) -> Settings:
     solver_options.check_owners(args, _OPTIONS)
     if args.damping is not None and args.damping_ratio is not None:
         raise ValueError("--damping: found together with --damping-ratio, expected one of them")
-    springs = {"stiffness_range": args.stiffness, "damping": args.damping}
+    springs = {
+        "stiffness_range": args.stiffness,
+        "damping": args.damping,
+        "use_learned": args.use_learned,
+        # Learned springs are as they were learned, unless something is asked for that they can be compared with.
+        "scale_learned": any(value is not None for value in (args.stiffness, args.damping, args.damping_ratio)),
+    }
     flesh = {
         "youngs_modulus_range": args.youngs_modulus,
         "density_range": args.density,

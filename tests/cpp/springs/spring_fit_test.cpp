@@ -175,6 +175,15 @@ TEST_CASE("regularization shrinks motion that springs cannot describe, and only 
   CHECK(motion_of(strong) < 0.8 * motion_of(none));
 }
 
+TEST_CASE("springs are never worse than none where they were learned") {
+  Synthetic noise = synthetic(200, 15);
+  std::mt19937 random(16);
+  std::normal_distribution<double> number(0.0, 0.1);
+  noise.motion.dynamic = noise.motion.reference + Values::NullaryExpr(100, 600, [&] { return number(random); });
+  const SpringFit found = fit(noise.motion);
+  CHECK((found.loss.array() <= found.reference_loss.array() * 1.001).all());
+}
+
 TEST_CASE("several motions are learned from together") {
   const Synthetic truth = synthetic(50, 6);
   const Values other = smooth_reference(40, 50, 99);

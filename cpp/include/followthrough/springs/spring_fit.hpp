@@ -26,7 +26,8 @@ struct SpringFitSettings {
   /// How strongly motion that springs cannot describe holds them back. Where the best constants leave a share e of the simulated
   /// motion unexplained (loss over loss without springs), r = regularization * e times the springs' own motion is added to the
   /// loss: the minimum is that of a fit to 1 / (1 + r) of the motion, the same shape, smaller ([ZS] section 7, figure 3); and a
-  /// weak pull to the usual constants. Motion that springs describe exactly is found exactly. 0: none.
+  /// weak pull to the usual constants, unless that would be worse than no springs. Motion that springs describe exactly is found
+  /// exactly. 0: none.
   double regularization = 1.0;
   /// Share of every vertex's frames, those of the greatest error, that is left out of a second fit ([ZS] figure 7). 0: none.
   double dropped_share = 0.0;
