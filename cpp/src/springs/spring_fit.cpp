@@ -129,14 +129,14 @@ Found regularized(VertexMotion& motion, const Found& found, double regularizatio
     return found;
   }
   motion.scale_wanted(1.0 / (1.0 + share));
-  const Found pulled = pulled_constants(motion, found, pull_of_share * share);
-  // The pull may cost more than springs bring at all, where they bring little; less motion alone never does.
-  const Found calm = pulled_constants(motion, found, 0.0);
-  motion.scale_wanted(1.0 + share);
-  for (const Found& one : {pulled, calm}) {
-    if (loss_of(motion, one) < nothing) {
-      return one;
+  // The pull may cost more than springs bring at all, where they bring little; less motion alone hardly ever does.
+  for (const double pull : {pull_of_share * share, 0.0}) {
+    const Found held_back = pulled_constants(motion, found, pull);
+    motion.scale_wanted(1.0 + share);
+    if (loss_of(motion, held_back) < nothing) {
+      return held_back;
     }
+    motion.scale_wanted(1.0 / (1.0 + share));
   }
   return {rigid, nothing};
 }
