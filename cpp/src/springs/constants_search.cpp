@@ -10,11 +10,11 @@ namespace followthrough {
 namespace {
 
 // Constants that are kept to, 1/s^2 and 1/s.
-const LogConstants lowest(std::log(1e-6), std::log(1e-6));
-const LogConstants highest(std::log(1e12), std::log(1e9));
+LogConstants lowest() { return {std::log(1e-6), std::log(1e-6)}; }
+LogConstants highest() { return {std::log(1e12), std::log(1e9)}; }
 // What decides where the motion does not: a pull to the usual constants, of the logarithms' squares, as a share of the motion.
 constexpr double least_pull = 1e-10;
-const LogConstants usual(std::log(usual_stiffness), std::log(usual_damping));
+LogConstants usual() { return {std::log(usual_stiffness), std::log(usual_damping)}; }
 
 constexpr int most_steps = 60;
 constexpr double enough = 1e-9;  // of the logarithms
@@ -27,11 +27,11 @@ constexpr double distance_apart = 0.3;  // of log ks
 const double least_rate = std::log(1e-5), greatest_rate = std::log(1e4);
 const double least_ratio = std::log(2e-3), greatest_ratio = std::log(300.0);
 
-LogConstants clamped(const LogConstants& constants) { return constants.cwiseMax(lowest).cwiseMin(highest); }
+LogConstants clamped(const LogConstants& constants) { return constants.cwiseMax(lowest()).cwiseMin(highest()); }
 
 LossGradient with_pull(LossGradient sums, const LogConstants& at, double strength) {
-  sums.loss += strength * (at - usual).squaredNorm();
-  sums.gradient += 2.0 * strength * (at - usual);
+  sums.loss += strength * (at - usual()).squaredNorm();
+  sums.gradient += 2.0 * strength * (at - usual());
   sums.curvature.diagonal().array() += 2.0 * strength;
   return sums;
 }
@@ -39,6 +39,7 @@ LossGradient with_pull(LossGradient sums, const LogConstants& at, double strengt
 // Levenberg-Marquardt within bounds.
 template <typename Function>
 Found minimize(const Function& function, LogConstants at, int steps) {
+  const LogConstants least = lowest(), greatest = highest();
   at = clamped(at);
   LossGradient here = function(at);
   double damping = 1e-3;
@@ -46,7 +47,7 @@ Found minimize(const Function& function, LogConstants at, int steps) {
     Eigen::Matrix2d curvature = here.curvature;
     Eigen::Vector2d gradient = here.gradient;
     for (int k = 0; k < 2; ++k) {  // a bound that holds leaves the other constant to move alone
-      if ((at[k] <= lowest[k] && gradient[k] > 0.0) || (at[k] >= highest[k] && gradient[k] < 0.0)) {
+      if ((at[k] <= least[k] && gradient[k] > 0.0) || (at[k] >= greatest[k] && gradient[k] < 0.0)) {
         curvature(0, 1) = curvature(1, 0) = 0.0;
         gradient[k] = 0.0;
       }
@@ -178,7 +179,7 @@ Found search_constants(const VertexMotion& motion, double dt, const SpringFitSet
                        const LogConstants* start) {
   const double strength = least_pull * motion.weight_of_wanted();
   const auto value = [&](const LogConstants& at) {
-    const double loss = motion.loss(std::exp(at[0]), std::exp(at[1])) + strength * (at - usual).squaredNorm();
+    const double loss = motion.loss(std::exp(at[0]), std::exp(at[1])) + strength * (at - usual()).squaredNorm();
     return std::isfinite(loss) ? loss : std::numeric_limits<double>::max();
   };
   const auto whole = [&](const LogConstants& at) {
@@ -219,7 +220,7 @@ Found pulled_constants(const VertexMotion& motion, const Found& found, double pu
   const auto whole = [&](const LogConstants& at) {
     return with_pull(motion.loss_gradient(std::exp(at[0]), std::exp(at[1])), at, strength);
   };
-  const Found near = minimize(whole, found.constants, most_steps), far = minimize(whole, usual, most_steps);
+  const Found near = minimize(whole, found.constants, most_steps), far = minimize(whole, usual(), most_steps);
   return far.value < near.value ? far : near;
 }
 

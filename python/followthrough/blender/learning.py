@@ -26,6 +26,8 @@ from followthrough.volume import Volume
 
 #: Fewer frames tell too little of a swing.
 LEAST_FRAMES = 10
+#: ks, 1/s²: a third of a swing a second. What seems softer hardly came back while it was learned, and would drift in a longer shot.
+LEAST_STIFFNESS = 4.0
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ class Learning(Bake):
             write_learned(
                 bpy.data.objects[character.name],
                 LearnedSprings(
-                    np.where(known, fit.stiffness, 0.0),
+                    np.where(known, np.maximum(fit.stiffness, LEAST_STIFFNESS), 0.0),
                     np.where(known, fit.damping, 0.0),
                     recording.painted,
                     self._settings[character.name].damping_ratio,
