@@ -2,14 +2,14 @@
 """The bake that is running, if one is: the operator drives it, the panel shows how far it is."""
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 import bpy
 
 from followthrough.blender import (
     Bake,
     BakeCache,
-    BakeReport,
     FrameRange,
     ObjectSettings,
     cache_folder,
@@ -53,6 +53,10 @@ def discard(scene: bpy.types.Scene, names: Iterable[str]) -> None:
     BakeCache(cache_folder(), scene.name, names).remove()
 
 
+def _resumable_bake(scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange | None) -> Bake:
+    return Bake(scene, objects, frames, cache_folder())
+
+
 class BakeSession:
     """A bake that can be advanced a little at a time.
 
@@ -60,6 +64,10 @@ class BakeSession:
     ----------
     scene, objects, frames
         As in `followthrough.blender.Bake`.
+    make
+        What is run, something that is driven as a bake; None: a bake that goes on where an earlier one was stopped.
+    doing, finishing
+        What the status line calls a step, and the end.
 
     Raises
     ------
@@ -68,12 +76,19 @@ class BakeSession:
     """
 
     def __init__(
-        self, scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange | None = None
+        self,
+        scene: bpy.types.Scene,
+        objects: Mapping[str, ObjectSettings],
+        frames: FrameRange | None = None,
+        make: Callable[[bpy.types.Scene, Mapping[str, ObjectSettings], FrameRange | None], Bake] | None = None,
+        doing: str = "Baking frame",
+        finishing: str = "Writing shape keys",
     ) -> None:
         global _running
         if _running is not None:
             raise ValueError("Another bake is under way")
-        self._bake = Bake(scene, objects, frames, cache_folder())
+        self._bake = (make or _resumable_bake)(scene, objects, frames)
+        self._words = (doing, finishing)
         self._steps = self._bake.run(patience=PATIENCE)
         self._simulating_since = time.monotonic()
         self.object_names = tuple(objects)
@@ -123,13 +138,15 @@ class BakeSession:
         if recovery.resumed_from is not None:
             notes.append(f"Resumed from frame {recovery.resumed_from}")
         if recovery.has_begun_anew:
-            notes.append("The mesh, its animation or its paint has changed since the bake was stopped: begun anew")
+            notes.append(
+                "The mesh, its animation, its paint or what it has learned has changed since the bake was stopped: begun anew"
+            )
         if recovery.problem is not None:
             notes.append(f"A stopped bake could not be resumed: {recovery.problem}")
         return tuple(notes)
 
-    def finish(self) -> BakeReport:
-        """Write the shape keys; the bake is then over."""
+    def finish(self) -> Any:
+        """Write what was made, which is then over; the report of it."""
         try:
             report = self._bake.finish()
         except BaseException:
@@ -157,10 +174,10 @@ class BakeSession:
     def status(self) -> str:
         """How far it is, for the panel."""
         if self.is_simulated:
-            return "Writing shape keys"
+            return self._words[1]
         frame = min(self.done + 1, self.total)
         left = self.seconds_left()
         if left is None:
-            return f"Baking frame {frame} of {self.total}"
+            return f"{self._words[0]} {frame} of {self.total}"
         minutes, seconds = divmod(round(left), 60)
-        return f"Baking frame {frame} of {self.total}, {minutes}:{seconds:02d} left"
+        return f"{self._words[0]} {frame} of {self.total}, {minutes}:{seconds:02d} left"

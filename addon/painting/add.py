@@ -9,6 +9,9 @@ from followthrough.settings import default_solver
 
 from ..characters import active_mesh
 
+#: Frames that springs are learned from, unless others are chosen.
+LEARNED_FRAMES = 96
+
 
 class FOLLOWTHROUGH_OT_add(Operator):
     bl_idname = "followthrough.add"
@@ -49,6 +52,8 @@ class FOLLOWTHROUGH_OT_add(Operator):
             settings.pin_groups.add().name = PINS_GROUP
         settings.solver = default_solver()  # said, so that the file keeps it
         settings.frame_start, settings.frame_end = context.scene.frame_start, context.scene.frame_end
+        settings.learn_start = context.scene.frame_start
+        settings.learn_end = min(context.scene.frame_end, context.scene.frame_start + LEARNED_FRAMES - 1)
         settings.is_added = True
         if obj.data.library is not None:
             self.report(

@@ -31,6 +31,7 @@ def object_settings(obj: bpy.types.Object) -> ObjectSettings:
                 ),
                 damping_ratio=settings.damping_ratio,
                 gravity=EARTH * settings.gravity,
+                use_learned=settings.use_learned,
             ),
             simulation=SimulationSettings(
                 youngs_modulus_range=(KILO * settings.modulus_soft, KILO * settings.modulus_stiff),

@@ -67,6 +67,7 @@ def _kept_in_order(low: str, high: str) -> tuple[_Update, _Update]:
 _raise_stiff_frequency, _lower_soft_frequency = _kept_in_order("frequency_soft", "frequency_stiff")
 _raise_stiff_modulus, _lower_soft_modulus = _kept_in_order("modulus_soft", "modulus_stiff")
 _raise_last_frame, _lower_first_frame = _kept_in_order("frame_start", "frame_end")
+_raise_last_learned, _lower_first_learned = _kept_in_order("learn_start", "learn_end")
 
 
 def _frequency(name: str, description: str, stiffness: float, update: _Update) -> Any:
@@ -351,4 +352,26 @@ class FollowthroughSettings(PropertyGroup):
         min=1,
         soft_max=10,
         max=100,
+    )
+
+    learn_start: IntProperty(  # type: ignore[valid-type]
+        name="First Frame",
+        description="First frame that springs are learned from; the simulation starts at rest there",
+        default=1,
+        min=-1048574,
+        max=1048574,
+        update=_raise_last_learned,
+    )
+    learn_end: IntProperty(  # type: ignore[valid-type]
+        name="Last Frame",
+        description="Last frame that springs are learned from; a hundred lively frames are enough",
+        default=96,
+        min=-1048574,
+        max=1048574,
+        update=_lower_first_learned,
+    )
+    use_learned: BoolProperty(  # type: ignore[valid-type]
+        name="Use Learned",
+        description="Swing on the springs that were learned, where there are any; the frequencies, damping and paint scale them",
+        default=True,
     )

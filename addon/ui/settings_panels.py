@@ -21,7 +21,7 @@ from .menus import FOLLOWTHROUGH_MT_presets
 _PAINT_BUTTONS = (("STIFFNESS", "Stiffness"), ("MASS", "Mass"), ("PINS", "Pins"))
 
 
-class _CharacterPanel(FollowthroughPanel):
+class CharacterPanel(FollowthroughPanel):
     """A sub-panel that is there for characters only, and out of reach while a bake runs."""
 
     bl_parent_id = "FOLLOWTHROUGH_PT_main"
@@ -38,7 +38,7 @@ class _CharacterPanel(FollowthroughPanel):
         return layout, active_character(context)
 
 
-class FOLLOWTHROUGH_PT_paint(_CharacterPanel, Panel):
+class FOLLOWTHROUGH_PT_paint(CharacterPanel, Panel):
     bl_label = "Paint"
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -71,7 +71,7 @@ class FOLLOWTHROUGH_PT_paint(_CharacterPanel, Panel):
             layout.prop_search(pin, "name", obj, "vertex_groups", text="")
 
 
-class FOLLOWTHROUGH_PT_motion(_CharacterPanel, Panel):
+class FOLLOWTHROUGH_PT_motion(CharacterPanel, Panel):
     bl_label = "Motion"
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -95,7 +95,7 @@ class FOLLOWTHROUGH_PT_motion(_CharacterPanel, Panel):
             layout.prop(settings, "weights")
 
 
-class FOLLOWTHROUGH_PT_frames(_CharacterPanel, Panel):
+class FOLLOWTHROUGH_PT_frames(CharacterPanel, Panel):
     bl_label = "Frames"
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -114,7 +114,7 @@ class FOLLOWTHROUGH_PT_frames(_CharacterPanel, Panel):
         layout.prop(settings, "output")
 
 
-class FOLLOWTHROUGH_PT_volume(_CharacterPanel, Panel):
+class FOLLOWTHROUGH_PT_volume(CharacterPanel, Panel):
     bl_label = "Volume"
     bl_options = {"DEFAULT_CLOSED"}
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
@@ -126,6 +127,14 @@ class EmulatorWeights:
     def parameter_count(self) -> int:
         """Number of weights and biases; 237,571 in the published network."""
         return sum(array.size for array in self.parameters.values())
+
+    def digest(self) -> bytes:
+        """16 bytes that tell apart what predicts differently: of parameters and units, whatever file they are from."""
+        found = hashlib.blake2b(repr(self.trained_on).encode(), digest_size=16)
+        for name, array in sorted(self.parameters.items()):
+            found.update(f"{name}{array.shape}".encode())
+            found.update(array.data)
+        return found.digest()
 
     def layers(self, name: str) -> Layers:
         """A perceptron's layers, none where it is not there."""

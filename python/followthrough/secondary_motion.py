@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from followthrough import _core
-from followthrough.character import BonePose, FloatArray, Paint, Pose, Surface
+from followthrough.character import BonePose, FloatArray, LearnedSprings, Paint, Pose, Surface
 from followthrough.controls import Amplified
-from followthrough.emulated_flesh import caution, make_emulated_flesh
+from followthrough.emulated_flesh import caution, load_weights, make_emulated_flesh
 from followthrough.flesh import loose_vertices, make_flesh
 from followthrough.mesh import TetMesh
 from followthrough.settings import Settings, SpringSettings
@@ -69,25 +69,59 @@ def make_solver(volume: Volume, settings: Settings, dt: float) -> Solver:
 
 
 def make_springs(volume: Volume, settings: SpringSettings, dt: float) -> Springs:
-    """Springs on the volume's vertices, with painted constants.
+    """Springs on the volume's vertices, with learned constants where there are any, and painted ones elsewhere.
 
-    A soft pin p strengthens the spring to ks / (1 - p) at the same damping ratio.
+    A soft pin p strengthens a painted spring to ks / (1 - p) at the same damping ratio; a learned one has felt the pins already.
     """
     low, high = settings.stiffness_range
-    light, heavy = settings.mass_range
-    mass = light ** (1.0 - volume.mass) * heavy**volume.mass
+    mass = _mass(volume.mass, settings)
     unit_stiffness = low ** (1.0 - volume.stiffness) * high**volume.stiffness
     unit_damping = (
         2.0 * settings.damping_ratio * np.sqrt(unit_stiffness) if settings.damping is None else settings.damping
     )
     free = 1.0 - np.where(volume.pinned, 0.0, volume.pins)
+    stiffness, damping = unit_stiffness / mass / free, unit_damping / mass / np.sqrt(free)
+    if volume.learned is not None and settings.use_learned:
+        stiffness, damping = _with_learned(volume.learned, unit_stiffness / mass, stiffness, damping, settings)
     return Springs(
-        stiffness=unit_stiffness / mass / free,
-        damping=unit_damping / mass / np.sqrt(free),
+        stiffness=stiffness,
+        damping=damping,
         dt=dt,
         pinned=volume.pinned,
         gravity=(0.0, 0.0, -settings.gravity * volume.surface.size),
     )
+
+
+def painted_stiffness(stiffness: FloatArray, mass: FloatArray, settings: SpringSettings) -> FloatArray:
+    """ks (n,), 1/s², of springs where stiffness and mass are painted so, without pins."""
+    low, high = settings.stiffness_range
+    values: FloatArray = low ** (1.0 - stiffness) * high**stiffness / _mass(mass, settings)
+    return values
+
+
+def _mass(painted: FloatArray | float, settings: SpringSettings) -> FloatArray:
+    light, heavy = settings.mass_range
+    factor: FloatArray = np.asarray(light ** (1.0 - painted) * heavy**painted)
+    return factor
+
+
+def _with_learned(
+    learned: LearnedSprings, painted: FloatArray, stiffness: FloatArray, damping: FloatArray, settings: SpringSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Learned constants in the place of others where there are some; `painted` is what paint and settings say now."""
+    known = learned.known
+    faster = np.ones(len(known))
+    calmer = 1.0
+    if settings.scale_learned:
+        faster[known] = painted[known] / learned.painted_stiffness[known]
+        if settings.damping is None:
+            usual = SpringSettings().damping_ratio
+            before, now = learned.damping_ratio, settings.damping_ratio
+            calmer = now / before if before > 0 else 1.0 + now / usual
+    scaled = np.where(known, learned.damping * np.sqrt(faster) * calmer, damping)
+    if settings.damping is not None and settings.scale_learned:
+        scaled = damping  # one damping for all, as it is asked for
+    return np.where(known, learned.stiffness * faster, stiffness), scaled
 
 
 class RiggedMotion:
@@ -172,7 +206,8 @@ def _matrices(matrices: FloatArray) -> FloatArray:
 class SecondaryMotion:
     """Drives one solver with a character's poses.
 
-    `caution` is a sentence for the artist where the solver is asked for more than it can do (`emulated_flesh.caution`), or empty.
+    `caution` is a sentence for the artist where the solver is asked for more than it can do (`emulated_flesh.caution`), or empty;
+    `weights` are the emulator's, None for other solvers.
 
     Parameters
     ----------
@@ -198,6 +233,7 @@ class SecondaryMotion:
             raise ValueError(f"dt: found {dt:g}, expected a positive number of seconds")
         self.settings = settings
         self.volume = build_volume(surface, paint, settings.volume, tet_mesh)
+        self.weights = load_weights(settings.emulator) if settings.solver == "emulator" else None
         self.solver = make_solver(self.volume, settings, dt)
         self.caution = caution(surface, paint, settings, dt, self.volume.tet_mesh)
         self._rigged = None if surface.rig is None else RiggedMotion(self.volume, self.solver, settings.minimum_stretch)

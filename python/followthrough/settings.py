@@ -54,6 +54,10 @@ class SpringSettings:
     gravity
         Downwards along the world's z, m/s² for a character 1 m long: the skin of one that is `Surface.size` long
         rests gravity * size / ks lower.
+    use_learned
+        Whether springs that were learned take the place of painted ones, where there are any.
+    scale_learned
+        Whether what is set and painted now, over what it was when they were learned, scales them.
     """
 
     stiffness_range: tuple[float, float] = (250.0, 4000.0)
@@ -61,6 +65,8 @@ class SpringSettings:
     damping: float | None = None
     mass_range: tuple[float, float] = (0.25, 4.0)
     gravity: float = 0.0
+    use_learned: bool = True
+    scale_learned: bool = True
 
     def __post_init__(self) -> None:
         _require_finite("gravity", self.gravity)

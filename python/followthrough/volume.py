@@ -13,6 +13,7 @@ from followthrough.character import (
     BonePose,
     FloatArray,
     IntArray,
+    LearnedSprings,
     Paint,
     Pose,
     Surface,
@@ -39,6 +40,8 @@ class Volume:
         Which bones move a vertex of the volume; None where no armature does.
     stiffness, mass, pins : (n,) float64
         Painted values carried to the volume; `pins` includes the core around the bones.
+    learned : LearnedSprings or None
+        Learned springs carried to the volume, where most of what a vertex is carried by was learned.
     """
 
     surface: Surface
@@ -50,6 +53,7 @@ class Volume:
     stiffness: FloatArray
     mass: FloatArray
     pins: FloatArray
+    learned: LearnedSprings | None = None
 
     @property
     def pinned(self) -> NDArray[np.bool_]:
@@ -134,6 +138,10 @@ def build_volume(
             raise ValueError(
                 f"paint.{name}: found shape {values.shape}, expected ({count},), one value a surface vertex"
             )
+    if paint.learned is not None and paint.learned.stiffness.shape != (count,):
+        raise ValueError(
+            f"paint.learned: found shape {paint.learned.stiffness.shape}, expected ({count},), one value a surface vertex"
+        )
     metres = surface.rest_positions @ surface.object_scale.T
     if tet_mesh is None:
         tet_mesh = make_tets(surface, settings)
@@ -169,7 +177,24 @@ def build_volume(
         stiffness=stiffness,
         mass=mass,
         pins=pins,
+        learned=None if paint.learned is None else _carried(paint.learned, transfer),
     )
+
+
+def _carried(learned: LearnedSprings, transfer: mesh.SurfaceTransfer) -> LearnedSprings | None:
+    """Learned springs on the volume: means of logarithms over what is known; None where that is nothing."""
+    known = learned.known
+    if not known.any():
+        return None
+    logarithms = np.zeros((len(known), 4))
+    logarithms[known, 0] = 1.0
+    for column, values in enumerate((learned.stiffness, learned.damping, learned.painted_stiffness), 1):
+        logarithms[known, column] = np.log(values[known])
+    carried = transfer(logarithms)
+    there = carried[:, 0] > 0.5
+    share = np.where(there, carried[:, 0], 1.0)[:, None]
+    stiffness, damping, painted = np.where(there[:, None], np.exp(carried[:, 1:] / share), 0.0).T.copy()
+    return LearnedSprings(stiffness, damping, painted, learned.damping_ratio)
 
 
 def _transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 #include "followthrough/springs/springs.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <string>
 
@@ -97,6 +98,33 @@ class DenseRows {
   const double* data_;
 };
 
+// Vertices often share their constants: all of a character that is not painted, all stiff ones of a fit. Those met last are kept.
+class RecentCoefficients {
+ public:
+  explicit RecentCoefficients(double dt) : dt_(dt) {}
+  const SpringCoefficients& of(double stiffness, double damping) {
+    for (const Entry& entry : entries_) {
+      if (entry.known && entry.stiffness == stiffness && entry.damping == damping) {
+        return entry.coefficients;
+      }
+    }
+    Entry& entry = entries_[oldest_];
+    oldest_ = (oldest_ + 1) % entries_.size();
+    entry = {true, stiffness, damping, spring_coefficients(stiffness, damping, dt_)};
+    return entry.coefficients;
+  }
+
+ private:
+  struct Entry {
+    bool known;
+    double stiffness, damping;
+    SpringCoefficients coefficients;
+  };
+  double dt_;
+  std::array<Entry, 4> entries_{};
+  std::size_t oldest_ = 0;
+};
+
 }  // namespace
 
 Springs::Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMask pinned, const Eigen::Vector3d& gravity)
@@ -136,12 +164,13 @@ Springs::Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMas
   factors_.setZero((count + factor_group - 1) / factor_group * factor_count, factor_group);
   for_blocks(count, coefficients_cost, [&](Eigen::Index first, Eigen::Index last) {
     auto pin = std::lower_bound(pinned_.begin(), pinned_.end(), first);
+    RecentCoefficients coefficients(dt_);
     for (Eigen::Index v = first; v < last; ++v) {
       if (pin != pinned_.end() && *pin == v) {
         ++pin;
         continue;  // all zero
       }
-      const SpringCoefficients k = spring_coefficients(stiffness_[v], damping_[v], dt_);
+      const SpringCoefficients& k = coefficients.of(stiffness_[v], damping_[v]);
       factors_.block<factor_count, 1>(v / factor_group * factor_count, v % factor_group) << k.decay, k.impulse, k.impulse_slope,
           k.restoring, k.acceleration, 3.0 * k.acceleration - 6.0 * k.acceleration_slope;
     }

@@ -28,6 +28,8 @@ from followthrough.blender.groups import (
     remove_groups,
     write_group,
 )
+from followthrough.blender.learned_springs import has_learned, read_learned, remove_learned
+from followthrough.blender.learning import Learning, LearningReport, ObjectLearning
 from followthrough.blender.outputs import OUTPUTS, OutputKind, baked_range, clear
 from followthrough.blender.rig_reading import read_surface
 from followthrough.blender.scene import NotBakeableError, action_frames, skinned_meshes, why_not_bakeable
@@ -41,7 +43,10 @@ __all__ = [
     "BakeCache",
     "BakeReport",
     "FrameRange",
+    "Learning",
+    "LearningReport",
     "NotBakeableError",
+    "ObjectLearning",
     "ObjectReport",
     "ObjectSettings",
     "OutputKind",
@@ -51,12 +56,15 @@ __all__ = [
     "action_frames",
     "add_groups",
     "baked_range",
-    "caution_before_bake",
     "cache_folder",
+    "caution_before_bake",
     "clear",
+    "has_learned",
+    "read_learned",
     "read_paint",
     "read_surface",
     "remove_groups",
+    "remove_learned",
     "resumable_frame",
     "skinned_meshes",
     "why_not_bakeable",

@@ -67,7 +67,7 @@ class Saved:
     Attributes
     ----------
     plan, contents
-        What it was asked to do (`plan_of`), and with which meshes, rigs and paint (`contents_of`).
+        What it was asked to do (`plan_of`), and with which meshes, rigs, paint, learned springs and weights (`contents_of`).
     done
         Frames that were simulated, also such that are not keyed.
     frame
@@ -109,7 +109,7 @@ def plan_of(scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frame
 
 
 def contents_of(motions: Iterable[SecondaryMotion]) -> str:
-    """Digest of all arrays that a simulation is made of, as the volumes have them."""
+    """Digest of all arrays that a simulation is made of, as the volumes have them, and of the emulator's weights."""
     arrays: list[NDArray[Any]] = []
     for motion in motions:
         volume = motion.volume
@@ -122,6 +122,11 @@ def contents_of(motions: Iterable[SecondaryMotion]) -> str:
         found += [volume.tet_mesh.vertices, volume.tet_mesh.tets, volume.stiffness, volume.mass, volume.pins]
         if rig is not None:
             found += [rig.bone_indices, rig.bone_weights, rig.bone_segments]
+        if volume.learned is not None:
+            learned = volume.learned
+            found += [learned.stiffness, learned.damping, learned.painted_stiffness, np.array(learned.damping_ratio)]
+        if motion.weights is not None:  # settings know a path alone
+            found.append(np.frombuffer(motion.weights.digest(), dtype=np.uint8))
         arrays += found
     return _digest(part for array in arrays for part in (repr(array.shape).encode(), np.ascontiguousarray(array).data))
 

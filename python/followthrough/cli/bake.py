@@ -145,6 +145,13 @@ def _add_solver_arguments(parser: argparse.ArgumentParser) -> None:
         f"(default {springs.stiffness_range[0]:g}:{springs.stiffness_range[1]:g})",
     )
     group.add_argument("--damping", metavar="KD", type=float, help="spring damping, 1/s, the same everywhere")
+    group.add_argument(
+        "--no-learned",
+        dest="use_learned",
+        action="store_const",
+        const=False,
+        help="painted springs even where the file has some that were learned from a simulation",
+    )
     group = parser.add_argument_group("emulator and implicit-euler")
     group.add_argument(
         "--youngs-modulus",
@@ -168,7 +175,7 @@ def _add_solver_arguments(parser: argparse.ArgumentParser) -> None:
 
 #: Solver -> the options that it has.
 _OPTIONS = {
-    "springs": ("stiffness", "damping"),
+    "springs": ("stiffness", "damping", "use_learned"),
     "emulator": ("youngs_modulus", "density", "weights", "corrections"),
     "implicit-euler": ("youngs_modulus", "density", "quality"),
 }
@@ -178,7 +185,14 @@ def _motion_settings(args: argparse.Namespace) -> Settings:
     solver_options.check_owners(args, _OPTIONS)
     if args.damping is not None and args.damping_ratio is not None:
         raise ValueError("--damping: found together with --damping-ratio, expected one of them")
-    springs = {"stiffness_range": args.stiffness, "damping": args.damping, "gravity": args.gravity}
+    springs = {
+        "stiffness_range": args.stiffness,
+        "damping": args.damping,
+        "gravity": args.gravity,
+        "use_learned": args.use_learned,
+        # Learned springs are as they were learned, unless something is asked for that they can be compared with.
+        "scale_learned": any(value is not None for value in (args.stiffness, args.damping, args.damping_ratio)),
+    }
     flesh = {
         "youngs_modulus_range": args.youngs_modulus,
         "density_range": args.density,

@@ -8,9 +8,13 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from followthrough.cli.progress import with_progress
 from followthrough.controls import Amplified, RelativeDamping
 from followthrough.elastic import (
     MATERIALS,
@@ -31,13 +35,16 @@ if TYPE_CHECKING:
     from followthrough.sequences import Sequence
     from followthrough.solver import Solver
 
+#: Options of the static equilibria that springs may hang on.
+LAYER_OPTIONS = ("quality", "tolerance", "material", "gravity")
+
 #: Solver -> the options that it has.
 OPTIONS = {
     "springs": ("springs", "stiffness", "damping", "over", "gravity"),
     "emulator": ("weights", "corrections", "relative_damping", "edge_length", "gravity"),
     "implicit-euler": ("quality", "tolerance", "material", "gravity", "mass_damping", "stiffness_damping"),
     "central-differences": ("substeps", "material", "gravity"),
-    "quasistatic": ("quality", "tolerance", "material", "gravity"),
+    "quasistatic": LAYER_OPTIONS,
 }
 
 
@@ -136,6 +143,14 @@ def add_weights_arguments(group: argparse._ArgumentGroup) -> None:
     )
 
 
+def add_layer_arguments(group: argparse._ArgumentGroup) -> None:
+    """Options of the static equilibria alone."""
+    group.add_argument("--quality", choices=QUALITIES, help=f"{', '.join(QUALITIES[:-1])} or {QUALITIES[-1]} (default)")
+    group.add_argument("--tolerance", metavar="T", type=float, help="relative residual (default: the quality's)")
+    group.add_argument("--material", choices=MATERIALS, help=f"{MATERIALS[0]} (default) or {MATERIALS[1]}")
+    group.add_argument("--gravity", metavar=("X", "Y", "Z"), type=float, nargs=3, help="m/s² (default: none)")
+
+
 def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
     """Those of the emulator alone."""
     emulator = parser.add_argument_group("emulator")
@@ -203,7 +218,7 @@ def _make_plain_solver(sequence: Sequence, args: argparse.Namespace) -> Solver:
     if args.solver == "springs":
         return _make_springs(sequence, args)
     if args.solver == "quasistatic":
-        return OverQuasistatic(_make_layer(sequence, args))
+        return OverQuasistatic(_make_layer(sequence, args.sequence, args))
     body, gravity = _make_body(sequence, args), args.gravity or (0.0, 0.0, 0.0)
     if args.solver == "central-differences":
         return CentralDifferences(body, sequence.constrained, sequence.dt, substeps=args.substeps, gravity=gravity)
@@ -228,20 +243,51 @@ def _make_springs(sequence: Sequence, args: argparse.Namespace) -> Solver:
     gravity = (0.0, 0.0, 0.0) if args.gravity is None or args.over is not None else args.gravity
     springs = Springs(stiffness, damping, sequence.dt, sequence.constrained, gravity=gravity)
     if args.over is not None:  # equilibria sag as it is
-        return OverQuasistatic(_make_layer(sequence, args), springs)
+        return OverQuasistatic(_make_layer(sequence, args.sequence, args), springs)
     if len(sequence.tets):  # springs can do without; but not with some that no other solver takes
         sound_body(sequence, args.sequence)
     return springs
 
 
-def _make_layer(sequence: Sequence, args: argparse.Namespace) -> Quasistatic:
+def _make_layer(sequence: Sequence, path: Path, args: argparse.Namespace) -> Quasistatic:
     return Quasistatic(
-        _make_body(sequence, args),
+        sound_body(sequence, path, args.material or MATERIALS[0]),
         sequence.constrained,
         quality=args.quality or "converged",
         tolerance=args.tolerance,
         gravity=args.gravity or (0.0, 0.0, 0.0),
     )
+
+
+def over_equilibria(sequence: Sequence, path: Path, args: argparse.Namespace) -> Sequence:
+    """The sequence with every pose's static equilibrium for its reference. Frames that have not converged are warned of."""
+    layer = _make_layer(sequence, path, args)
+    reference = np.empty_like(sequence.reference)
+    unconverged = []
+    for frame in with_progress(range(sequence.frame_count), "equilibria", quiet=args.quiet):
+        reference[frame] = layer.solve(sequence.reference[frame])
+        if not layer.last_solve.converged:
+            unconverged.append(frame)
+    if unconverged and args.quality in (None, "converged"):
+        print(
+            f"followthrough: warning: {path}: {len(unconverged)} equilibria have not converged, the first is frame {unconverged[0]}",
+            file=sys.stderr,
+        )
+    return replace(sequence, reference=reference)
+
+
+def first_frames(sequence: Sequence, count: int) -> Sequence:
+    """The first frames of a sequence.
+
+    Raises
+    ------
+    ValueError
+        Where it has fewer.
+    """
+    if count > sequence.frame_count:
+        raise ValueError(f"--frames: found {count}, expected at most the {sequence.frame_count} that the sequence has")
+    dynamic = None if sequence.dynamic is None else sequence.dynamic[:count]
+    return replace(sequence, reference=sequence.reference[:count], dynamic=dynamic)
 
 
 def _make_body(sequence: Sequence, args: argparse.Namespace) -> ElasticBody:

@@ -106,7 +106,7 @@ def test_a_mesh_without_armature(addon: ModuleType) -> None:
 def test_a_character_before_and_after_add(addon: ModuleType, character: bpy.types.Object) -> None:
     assert list(draw(addon)) == ["Followthrough"]
     bpy.ops.followthrough.add()
-    assert list(draw(addon)) == ["Followthrough", "Paint", "Motion", "Frames", "Volume"]
+    assert list(draw(addon)) == ["Followthrough", "Paint", "Motion", "Learned Springs", "Frames", "Volume"]
     assert "Bake 12 Frames" in draw(addon)["Followthrough"]
 
 
