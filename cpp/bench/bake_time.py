@@ -22,6 +22,7 @@ import bpy
 import numpy as np
 
 from followthrough.blender import Bake, FrameRange, ObjectSettings, clear
+from followthrough.settings import Settings
 
 
 def build_column(vertices: int, frames: int) -> bpy.types.Object:
@@ -155,7 +156,11 @@ def step(frames: int) -> None:
 def bake(name: str, frames: int, parts: dict[str, Seconds]) -> None:
     """A whole bake, and how long its parts took."""
     with timed(parts, "volume"):
-        run = Bake(bpy.context.scene, {name: ObjectSettings()}, FrameRange(start=1, end=frames))
+        run = Bake(
+            bpy.context.scene,
+            {name: ObjectSettings(motion=Settings(solver="springs"))},
+            FrameRange(start=1, end=frames),
+        )
     with timed(parts, "frames"):
         for _ in run.run():
             pass

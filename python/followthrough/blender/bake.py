@@ -32,8 +32,8 @@ from followthrough.blender.scene import (
     skeletons_of,
 )
 from followthrough.blender.still_meshes import StillMeshes
-from followthrough.blender.vertex_weights import read_weights
-from followthrough.character import BonePose, Pose, Surface
+from followthrough.blender.vertex_weights import VertexWeights, read_weights
+from followthrough.character import BonePose, Paint, Pose, Surface
 from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings
 from followthrough.volume import make_tets
@@ -309,7 +309,7 @@ class Bake:
         tets = thread.submit(make_tets, bare, settings.motion.volume)
         weights = read_weights(obj)
         surface = bare if deformation.armature is None else with_skeleton(obj, bare, weights)
-        paint = read_paint(obj, surface, settings.groups, weights)
+        paint = self._read_paint(obj, surface, settings.groups, weights)
         name = obj.name
 
         def make_motion() -> SecondaryMotion:
@@ -325,6 +325,11 @@ class Bake:
                 name, made, reader, finder, surface.rest_positions, offsets, unkeyed=np.empty_like(offsets[0])
             )
         )
+
+    def _read_paint(
+        self, obj: bpy.types.Object, surface: Surface, groups: PaintGroups, weights: VertexWeights
+    ) -> Paint:
+        return read_paint(obj, surface, groups, weights)
 
     def _read_ahead_until(self, made: concurrent.futures.Future[SecondaryMotion]) -> None:
         """Read poses in the order in which they are needed, for as long as that takes."""

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from followthrough import mesh
 from followthrough.blender import modes
 from followthrough.blender.bake import Bake, FrameRange, ObjectSettings, Progress, _told_apart
-from followthrough.blender.groups import read_paint
+from followthrough.blender.groups import PaintGroups
 from followthrough.blender.learned_springs import write_learned
-from followthrough.blender.rig_reading import read_surface
 from followthrough.blender.scene import NotBakeableError
-from followthrough.character import FloatArray, LearnedSprings, Pose
+from followthrough.blender.vertex_weights import VertexWeights
+from followthrough.character import FloatArray, LearnedSprings, Paint, Pose, Surface
 from followthrough.secondary_motion import painted_stiffness
 from followthrough.settings import Settings
 from followthrough.spring_fit import FitSettings, FitStatus, Fitting, SpringFit, Training, blocks_of
@@ -101,7 +101,6 @@ class Learning(Bake):
         self._settings = {name: settings.motion.springs for name, settings in objects.items()}
         self._fit_settings = fit or FitSettings()
         self._recordings = {name: _Recording() for name in objects}
-        self._groups = {name: settings.groups for name, settings in objects.items()}
         flesh = {
             name: replace(
                 settings, motion=_simulated(settings.motion), output="keys"
@@ -172,10 +171,13 @@ class Learning(Bake):
     def _prepare(self, scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange) -> None:
         super()._prepare(scene, objects, frames)
         self._searched = list(self._characters)  # what follows the simulation is the fit, for all of them
-        for name, settings in self._settings.items():
-            obj = bpy.data.objects[name]
-            paint = read_paint(obj, read_surface(obj), self._groups[name])
-            self._recordings[name].painted = painted_stiffness(paint.stiffness, paint.mass, settings)
+
+    def _read_paint(
+        self, obj: bpy.types.Object, surface: Surface, groups: PaintGroups, weights: VertexWeights
+    ) -> Paint:
+        paint = super()._read_paint(obj, surface, groups, weights)
+        self._recordings[obj.name].painted = painted_stiffness(paint.stiffness, paint.mass, self._settings[obj.name])
+        return paint
 
     def _take_poses(self) -> list[Pose]:
         poses = super()._take_poses()

@@ -11,7 +11,9 @@ from followthrough.blender import Bake, FrameRange, NotBakeableError, ObjectSett
 from followthrough.cli import main
 from followthrough.settings import Settings, SpringSettings, VolumeSettings
 
-MOTION = Settings(volume=VolumeSettings(cells=8), springs=SpringSettings(stiffness_range=(60.0, 60.0)))
+MOTION = Settings(
+    solver="springs", volume=VolumeSettings(cells=8), springs=SpringSettings(stiffness_range=(60.0, 60.0))
+)
 RELATIVE = ObjectSettings(motion=MOTION)
 ABSOLUTE = ObjectSettings(motion=MOTION, output="absolute")
 

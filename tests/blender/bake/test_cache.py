@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -19,10 +21,15 @@ from followthrough.blender import (
     write_group,
 )
 from followthrough.blender.bake_cache import BakeCache
-from followthrough.settings import Settings, SimulationSettings, SpringSettings, VolumeSettings
+from followthrough.blender.learned_springs import write_learned
+from followthrough.character import LearnedSprings
+from followthrough.emulator_weights import EmulatorWeights
+from followthrough.settings import EmulatorSettings, Settings, SimulationSettings, SpringSettings, VolumeSettings
 
 COARSE = VolumeSettings(cells=8)
-SPRINGS = ObjectSettings(motion=Settings(volume=COARSE, springs=SpringSettings(stiffness_range=(60.0, 60.0))))
+SPRINGS = ObjectSettings(
+    motion=Settings(volume=COARSE, solver="springs", springs=SpringSettings(stiffness_range=(60.0, 60.0)))
+)
 FLESH = ObjectSettings(
     motion=Settings(volume=COARSE, solver="implicit-euler", simulation=SimulationSettings(quality="preview"))
 )
@@ -61,6 +68,20 @@ def baked(character, settings=SPRINGS, frames=None):
     return offsets
 
 
+def controlled(weights, solver="emulator", corrections=1):
+    """All that can be set around a solver."""
+    return ObjectSettings(
+        motion=Settings(
+            volume=VolumeSettings(cells=8, core_radius=0.0),
+            solver=solver,
+            springs=SpringSettings(gravity=2.0),
+            simulation=SimulationSettings(gravity=2.0, damping_ratio=0.1),
+            emulator=EmulatorSettings(weights=weights, corrections=corrections),
+            amplitude=1.5,
+        )
+    )
+
+
 def with_lattice(character):
     lattice = bpy.data.objects.new("Lattice", bpy.data.lattices.new("Lattice"))
     bpy.context.scene.collection.objects.link(lattice)
@@ -91,6 +112,69 @@ def test_a_stopped_bake_goes_on_to_the_same_bits(character, tmp_path, settings, 
     assert character.offsets().tobytes() == whole.tobytes()
     assert resumed.objects == report.objects
     assert not folder.exists()
+
+
+@pytest.mark.parametrize("sampled", [False, True], ids=["rigged", "sampled"])
+@pytest.mark.parametrize(
+    ("solver", "corrections"), [("springs", 0), ("emulator", 0), ("emulator", 2), ("implicit-euler", 0)]
+)
+def test_with_all_controls_it_goes_on_to_the_same_bits(held, weights, tmp_path, solver, sampled, corrections):
+    if sampled:
+        write_group(held.mesh, "All", np.ones(len(held.mesh.data.vertices)))
+        held.modifier.vertex_group = "All"  # moves it as before, but is no plain Armature modifier
+    settings = controlled(weights, solver, corrections)
+    whole = baked(held, settings)
+    first = stopped(held, tmp_path / "cache", 5, settings)
+    again = begun(held, tmp_path / "cache", settings)
+    completed(again)
+    assert again.recovery.resumed_from == first.recovery.saved_frame == 5
+    assert np.abs(whole).max() > 0.01
+    if sampled:  # offsets are searched from where the last search ended
+        assert np.abs(held.offsets() - whole).max() < 1e-4 * held.size
+    else:
+        assert held.offsets().tobytes() == whole.tobytes()
+
+
+def test_other_weights_in_the_same_file_begin_anew(held, weights, tmp_path):
+    settings = controlled(weights)
+    stopped(held, tmp_path / "cache", 5, settings)
+    old = EmulatorWeights.load(weights)
+    EmulatorWeights({name: 0.9 * array for name, array in old.parameters.items()}, old.trained_on).save(weights)
+    whole = baked(held, settings)
+    again = begun(held, tmp_path / "cache", settings)
+    completed(again)
+    assert again.recovery.resumed_from is None
+    assert again.recovery.has_begun_anew
+    assert held.offsets().tobytes() == whole.tobytes()
+
+
+def test_a_weights_file_that_is_merely_written_again_goes_on(held, weights, tmp_path):
+    settings = controlled(weights)
+    stopped(held, tmp_path / "cache", 5, settings)
+    same = EmulatorWeights.load(weights)
+    EmulatorWeights(same.parameters, same.trained_on, {"note": "of another day"}).save(weights)
+    again = begun(held, tmp_path / "cache", settings)
+    completed(again)
+    assert again.recovery.resumed_from == 5
+
+
+@pytest.mark.parametrize("output", ["absolute", "pc2"])
+def test_it_goes_on_whatever_is_written(held, weights, tmp_path, output):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    settings = replace(controlled(weights), output=output)
+
+    def shown():
+        positions = [held.positions(frame) for frame in range(1, 9)]
+        clear(held.mesh)
+        return np.array(positions)
+
+    held.bake(settings)
+    whole = shown()
+    stopped(held, tmp_path / "cache", 5, settings)
+    again = begun(held, tmp_path / "cache", settings)
+    completed(again)
+    assert again.recovery.resumed_from == 5
+    assert np.array_equal(shown(), whole)
 
 
 def test_the_frames_before_are_not_simulated_again(character, tmp_path, monkeypatch):
@@ -159,12 +243,26 @@ def other_weights(character):
     character.mesh.vertex_groups["Upper"].add([20], 0.3, "REPLACE")
 
 
+def other_learned_springs(character):
+    count = len(character.mesh.data.vertices)
+    write_learned(character.mesh, LearnedSprings(np.full(count, 90.0), np.full(count, 4.0), np.full(count, 60.0), 0.25))
+
+
 def other_frame_rate(character):
     bpy.context.scene.render.fps = 30
 
 
 @pytest.mark.parametrize(
-    "change", [other_animation, other_place, other_mesh, other_paint, other_weights, other_frame_rate]
+    "change",
+    [
+        other_animation,
+        other_place,
+        other_mesh,
+        other_paint,
+        other_weights,
+        other_learned_springs,
+        other_frame_rate,
+    ],
 )
 def test_a_stale_cache_is_recognised(character, tmp_path, change):
     stopped(character, tmp_path / "cache", 5)

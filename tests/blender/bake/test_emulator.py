@@ -6,31 +6,12 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from plain_network import random_parameters
 
 from followthrough import emulator_weights
 from followthrough.blender import Bake, ObjectSettings, caution_before_bake, write_group
 from followthrough.cli import main
 from followthrough.emulator_weights import EmulatorWeights, TrainedOn
 from followthrough.settings import EmulatorSettings, Settings, SimulationSettings, SpringSettings, VolumeSettings
-
-SMALL = {"inertia": (8, 8), "force": (12, 8), "displacement": (16,)}
-
-
-@pytest.fixture
-def weights(tmp_path):
-    """A small network of random weights, which moves flesh somehow."""
-    path = tmp_path / "network.npz"
-    EmulatorWeights(random_parameters(0, **SMALL), TrainedOn(stiffness_range=(0.01, 150.0))).save(path)
-    return path
-
-
-@pytest.fixture
-def held(character):
-    """The column with its lower third pinned, a soft collar, and the rest free."""
-    heights = np.array([vertex.co.z for vertex in character.mesh.data.vertices]) / character.size
-    write_group(character.mesh, "Followthrough Pins", np.where(heights < 0.3, 1.0, np.where(heights < 0.45, 0.4, 0.0)))
-    return character
 
 
 def motion(weights, solver="emulator", corrections=0, amplitude=1.0, **simulation):
@@ -95,7 +76,8 @@ def test_every_solver_feels_gravity(held, weights, solver):
 
 
 def test_flesh_that_was_not_learned_is_told_before_the_bake_and_after_it(held, weights):
-    EmulatorWeights(random_parameters(0, **SMALL), TrainedOn(stiffness_range=(60.0, 150.0))).save(weights)
+    parameters = EmulatorWeights.load(weights).parameters
+    EmulatorWeights(parameters, TrainedOn(stiffness_range=(60.0, 150.0))).save(weights)
     settings = ObjectSettings(motion=motion(weights))
     before = caution_before_bake(held.mesh, settings, bpy.context.scene)
     assert "vertices are softer than the emulator has learned" in before

@@ -21,10 +21,10 @@ from followthrough.blender import (
 )
 from followthrough.blender.learned_springs import DAMPING_ATTRIBUTE, STIFFNESS_ATTRIBUTE
 from followthrough.cli import main
-from followthrough.settings import Settings, SpringSettings, VolumeSettings
+from followthrough.settings import Settings, SimulationSettings, SpringSettings, VolumeSettings
 
 FRAMES = FrameRange(1, 40)
-MOTION = Settings(volume=VolumeSettings(cells=8))
+MOTION = Settings(solver="springs", volume=VolumeSettings(cells=8))
 SETTINGS = ObjectSettings(motion=MOTION)
 
 
@@ -129,8 +129,9 @@ def test_learning_leaves_everything_else_as_it_was(swinging):
 
 @pytest.mark.parametrize("steps", [1, 20, 40])
 def test_cancelled_at_any_time_nothing_is_learned(swinging, steps):
-    learning = Learning(bpy.context.scene, {swinging.mesh_name: SETTINGS}, FRAMES)
+    bpy.context.scene.frame_set(5)
     frame = bpy.context.scene.frame_current
+    learning = Learning(bpy.context.scene, {swinging.mesh_name: SETTINGS}, FRAMES)
     for progress in learning.run():
         if progress.done == steps:
             break
@@ -147,6 +148,59 @@ def test_progress_counts_frames_and_the_fit(swinging):
     assert done == list(range(1, learning.total + 1))
     assert learning.total == 40 + 1
     learning.cancel()
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        dataclasses.replace(MOTION, amplitude=3.0),
+        dataclasses.replace(MOTION, springs=SpringSettings(gravity=5.0), simulation=SimulationSettings(gravity=5.0)),
+        dataclasses.replace(MOTION, solver="emulator"),
+    ],
+    ids=["amplitude", "gravity", "emulator"],
+)
+def test_what_acts_on_any_solver_is_not_learned(swinging, motion):
+    learn(swinging)
+    plain = read_learned(swinging.mesh)
+    learn(swinging, ObjectSettings(motion=motion))
+    learned = read_learned(swinging.mesh)
+    assert np.array_equal(learned.stiffness, plain.stiffness)
+    assert np.array_equal(learned.damping, plain.damping)
+
+
+def test_amplitude_and_gravity_act_on_learned_springs(swinging):
+    learn(swinging)
+    plain = np.array(swinging.displacements(1, 40, MOTION))
+    twice = np.array(swinging.displacements(1, 40, dataclasses.replace(MOTION, amplitude=2.0)))
+    assert np.abs(twice - 2.0 * plain).max() < 1e-9
+    sagging = np.array(swinging.displacements(1, 40, with_springs(gravity=2.0)))
+    assert sagging[-1, :, 2].mean() < plain[-1, :, 2].mean() - 1e-3
+
+
+def test_a_character_that_plays_a_point_cache_learns_alike(swinging, tmp_path):
+    learn(swinging)
+    plain = read_learned(swinging.mesh)
+    remove_learned(swinging.mesh)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    cached = ObjectSettings(motion=MOTION, output="pc2")
+    swinging.bake(cached, FRAMES)
+    before = swinging.positions(20)
+    learn(swinging, cached)
+    assert np.array_equal(read_learned(swinging.mesh).stiffness, plain.stiffness)
+    assert np.array_equal(swinging.positions(20), before)
+
+
+def test_a_loop_is_learned_from_from_its_start(swinging):
+    learning = Learning(bpy.context.scene, {swinging.mesh_name: SETTINGS}, FrameRange(1, 40, cycles=1))
+    for _ in learning.run():
+        pass
+    recording = learning._recordings[swinging.mesh_name]
+    report = learning.finish().objects[0]
+    assert len(recording.displacements) == len(learning._schedule) - 1
+    start = recording.reference[0]
+    second = recording.reference[len(learning._schedule) - 40]
+    assert np.allclose(start, second)  # the first frame of the last round
+    assert report.rmse < 0.8 * report.reference_rmse
 
 
 def test_a_mesh_that_something_else_moves_learns_too(swinging):

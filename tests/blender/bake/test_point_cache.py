@@ -22,7 +22,9 @@ from followthrough.blender import (
 from followthrough.cli import main
 from followthrough.settings import Settings, SpringSettings, VolumeSettings
 
-MOTION = Settings(volume=VolumeSettings(cells=8), springs=SpringSettings(stiffness_range=(60.0, 60.0)))
+MOTION = Settings(
+    solver="springs", volume=VolumeSettings(cells=8), springs=SpringSettings(stiffness_range=(60.0, 60.0))
+)
 KEYS = ObjectSettings(motion=MOTION)
 CACHE = ObjectSettings(motion=MOTION, output="pc2")
 

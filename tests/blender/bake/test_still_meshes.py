@@ -10,7 +10,7 @@ import pytest
 from followthrough.blender import Bake, ObjectSettings
 from followthrough.settings import Settings, VolumeSettings
 
-COARSE = ObjectSettings(motion=Settings(volume=VolumeSettings(cells=8)))
+COARSE = ObjectSettings(motion=Settings(solver="springs", volume=VolumeSettings(cells=8)))
 
 
 def started(*characters):
