@@ -12,7 +12,7 @@ CPP_FILES := $(shell find cpp tests/cpp examples/cpp -name '*.cpp' -o -name '*.h
 DEMO_OUTPUT ?= demo-output
 BENCH_ARGS ?=
 
-.PHONY: help setup demo test test-cpp test-python test-slow test-blender test-blender-versions test-training bench bench-bake lint format types tidy sanitize extension wheel clean
+.PHONY: help setup demo test test-cpp test-python test-slow test-blender test-blender-versions test-training bench bench-bake bench-springs lint format types tidy sanitize extension wheel clean
 
 help: ## List the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 24
@@ -76,7 +76,10 @@ bench: setup ## Benchmarks of the core beside memory copy speed, and of the bake
 	@$(CMAKE) --build build/bench
 	@build/bench/followthrough_bench --benchmark_repetitions=5 --benchmark_enable_random_interleaving=true \
 	  --benchmark_report_aggregates_only=true $(BENCH_ARGS)
-	@$(MAKE) --no-print-directory bench-bake
+	@$(MAKE) --no-print-directory bench-bake bench-springs
+
+bench-springs: setup ## Learning 14,000 springs beside a straight Python implementation
+	@$(PY) cpp/bench/spring_fit_time.py
 
 bench-bake: setup ## Bake time over the time of merely stepping the same frames in Blender
 	@$(PY) tools/require_bpy.py

@@ -16,6 +16,7 @@
 
 namespace followthrough {
 
+void bind_controls(pybind11::module_& m);
 void bind_elastic(pybind11::module_& m);
 void bind_emulator(pybind11::module_& m);
 void bind_emulator_newton(pybind11::module_& m);

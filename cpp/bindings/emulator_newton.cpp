@@ -38,8 +38,11 @@ py::tuple arrays_of(PatchFeatures&& features) {
 }
 
 NewtonBody body_of(ConstPositions rest_positions, ConstTets tets, ConstMask constrained, const Vector& youngs_modulus,
-                   const Vector& density, double dt, double edge_length, double poisson_ratio, double compression_resistance) {
-  return {{rest_positions, tets, constrained, youngs_modulus, density, dt, edge_length}, poisson_ratio, compression_resistance};
+                   const Vector& density, double dt, double edge_length, double poisson_ratio, double compression_resistance,
+                   const Eigen::Vector3d& gravity = Eigen::Vector3d::Zero()) {
+  return {{rest_positions, tets, constrained, youngs_modulus, density, dt, edge_length, gravity},
+          poisson_ratio,
+          compression_resistance};
 }
 
 py::array_t<Index> array_of_indices(const std::vector<Index>& indices) {
@@ -85,18 +88,19 @@ void bind_emulator_newton(py::module_& m) {
   m.attr("pass_guide_size") = py::make_tuple(pass_guide_size().vectors, pass_guide_size().scalars);
   py::class_<PatchNewton, Solver>(m, "PatchNewton", "Dynamics by corrected Newton steps. Use followthrough.emulator.Emulator.")
       .def(py::init([](ConstPositions rest_positions, ConstTets tets, ConstMask constrained, const Vector& youngs_modulus,
-                       const Vector& density, double dt, double edge_length, double poisson_ratio, double compression_resistance,
+                       const Vector& density, double dt, double edge_length, const Eigen::Vector3d& gravity, double poisson_ratio,
+                       double compression_resistance,
                        const Layers& start, const std::vector<std::pair<int, Layers>>& passes, int most_passes, double tolerance,
                        int extra_passes, int extra_iterations) {
              const NewtonBody body = body_of(rest_positions, tets, constrained, youngs_modulus, density, dt, edge_length,
-                                             poisson_ratio, compression_resistance);
+                                             poisson_ratio, compression_resistance, gravity);
              NewtonSchedule schedule{guide_of(start), {}, most_passes, tolerance, extra_passes, extra_iterations};
              for (const auto& [iterations, guide] : passes) schedule.passes.push_back({iterations, guide_of(guide)});
              const py::gil_scoped_release release;
              return PatchNewton(body, schedule);
            }),
            py::arg("rest_positions"), py::arg("tets"), py::arg("constrained"), py::arg("youngs_modulus"), py::arg("density"),
-           py::arg("dt"), py::arg("edge_length"), py::arg("poisson_ratio"), py::arg("compression_resistance"), py::arg("start"),
+           py::arg("dt"), py::arg("edge_length"), py::arg("gravity"), py::arg("poisson_ratio"), py::arg("compression_resistance"), py::arg("start"),
            py::arg("passes"), py::arg("most_passes"), py::arg("tolerance"), py::arg("extra_passes"), py::arg("extra_iterations"))
       .def_property_readonly("vertex_count", &PatchNewton::vertex_count)
       .def_property_readonly("free_vertex_count", &PatchNewton::free_vertex_count)

@@ -27,4 +27,5 @@ PYBIND11_MODULE(_core, m) {
   followthrough::bind_quasistatic(m);
   followthrough::bind_emulator(m);
   followthrough::bind_emulator_newton(m);
+  followthrough::bind_controls(m);
 }

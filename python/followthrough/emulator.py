@@ -45,6 +45,9 @@ class Emulator(Solver):
         Seconds a frame.
     weights
         The network.
+    gravity
+        m/s². The network is shown the scene from a frame of reference that falls, where bodies have no weight, so it need not have
+        learned any.
     edge_length
         Edge of the cubes that the tets fill, m; None: that of cubes of six tets with the median tet's volume.
     poisson_ratio, compression_resistance
@@ -70,6 +73,7 @@ class Emulator(Solver):
         dt: float,
         weights: EmulatorWeights,
         *,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
         edge_length: float | None = None,
         poisson_ratio: float | None = None,
         compression_resistance: float | None = None,
@@ -93,6 +97,7 @@ class Emulator(Solver):
             array_checks.per_vertex("density", density, len(rest)),
             float(dt),
             edge_length or 0.0,
+            array_checks.vector3("gravity", gravity),
         )
         if weights.newton is None:
             if extra_passes:
@@ -124,6 +129,7 @@ class Emulator(Solver):
         sequence: Sequence,
         weights: EmulatorWeights,
         *,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
         edge_length: float | None = None,
         extra_passes: int = 0,
         extra_iterations: int = 16,
@@ -137,6 +143,7 @@ class Emulator(Solver):
             sequence.density,
             sequence.dt,
             weights,
+            gravity=gravity,
             edge_length=edge_length,
             poisson_ratio=sequence.poisson_ratio,
             compression_resistance=sequence.compression_resistance,
@@ -202,12 +209,14 @@ class Emulator(Solver):
 
 def _patch_network(body: tuple[Any, ...], weights: EmulatorWeights) -> Any:
     rings = ("edge_mlp", "edge_mlp_2", "edge_mlp_3")[: weights.rings]
+    *volume, gravity = body
     return _core.Emulator(
-        *body,
+        *volume,
         weights.layers("point_mlp"),
         [weights.layers(name) for name in rings],
         weights.layers("instance_mlp"),
         weights.trained_on.edge_length,
         weights.trained_on.dt,
         weights.trained_on.density,
+        gravity,
     )

@@ -6,12 +6,12 @@ There are two kinds of network: the paper's, `patch`, and Newton steps that smal
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from importlib import resources
 from pathlib import Path
 from typing import Any, Self
 
@@ -30,6 +30,8 @@ Layers = list[tuple[Float32Array, Float32Array | None]]
 METADATA_KEY = "followthrough"
 FORMAT = 1
 NETWORKS = ("patch", "guided-newton")
+#: The weights that come with the package.
+SHIPPED = Path(__file__).parent / "weights" / "emulator.npz"
 PERCEPTRONS = ("point_mlp", "edge_mlp", "edge_mlp_2", "edge_mlp_3", "instance_mlp")
 
 
@@ -148,6 +150,14 @@ class EmulatorWeights:
         """Number of weights and biases; 237,571 in the published network."""
         return sum(array.size for array in self.parameters.values())
 
+    def digest(self) -> bytes:
+        """16 bytes that tell apart what predicts differently: of parameters and units, whatever file they are from."""
+        found = hashlib.blake2b(repr(self.trained_on).encode(), digest_size=16)
+        for name, array in sorted(self.parameters.items()):
+            found.update(f"{name}{array.shape}".encode())
+            found.update(array.data)
+        return found.digest()
+
     def layers(self, name: str) -> Layers:
         """A perceptron's layers, none where it is not there."""
         layers: Layers = []
@@ -157,21 +167,19 @@ class EmulatorWeights:
 
     @classmethod
     def shipped(cls) -> Self:
-        """The network that comes with the product.
+        """The weights that come with the package.
 
         Raises
         ------
         ValueError
-            Where this copy came without it.
+            Where this version brings none; `are_shipped` asks.
         """
-        place = resources.files("followthrough") / "weights" / "emulator.npz"
-        if not place.is_file():
+        if not are_shipped():
             raise ValueError(
-                f"weights: found no {place}, which comes with followthrough: install it again, or name a weights file "
-                "of the emulator (--weights)"
+                "weights: this version of followthrough brings none for the emulator, expected a weights file "
+                "(followthrough dataset and followthrough train make one), or another solver: implicit-euler (Simulation) or springs"
             )
-        with resources.as_file(place) as path:
-            return cls.load(path)
+        return cls.load(SHIPPED)
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
@@ -229,6 +237,11 @@ class EmulatorWeights:
 
 
 KINDS = ("weight", "bias")
+
+
+def are_shipped() -> bool:
+    """Whether weights come with the package; the emulator is then what bakes unless another solver is chosen."""
+    return SHIPPED.is_file()
 
 
 def _dimensions_of(name: str) -> int:

@@ -65,7 +65,8 @@ struct ImplicitEuler::Parts {
 // One step while it is being solved.
 class ImplicitEuler::Step {
  public:
-  Step(Parts& parts, ConstPositions reference) : p_(parts), reference_(reference) {
+  Step(Parts& parts, ConstPositions reference, const ConstPositions* prediction)
+      : p_(parts), reference_(reference), prediction_(prediction) {
     const double square = p_.dt * p_.dt;
     inertial_ = 2 * p_.positions - p_.before;
     inertial_.rowwise() += square * p_.forces.gravity.transpose();
@@ -91,6 +92,7 @@ class ImplicitEuler::Step {
   bool factored_ = false;
   int linear_iterations_ = 0;  // of the last solve
   ConstPositions reference_;
+  const ConstPositions* prediction_;  // null: none
   Positions inertial_;
 };
 
@@ -141,16 +143,19 @@ Trial ImplicitEuler::Step::evaluate(Positions positions) const {
 
 Trial ImplicitEuler::Step::start() const {
   const Positions skinned = p_.positions + reference_ - p_.reference;
-  Trial best = evaluate([&] {
-    Positions mean = reference_;
-    for (const Index v : p_.free) mean.row(v) = 0.5 * (inertial_.row(v) + skinned.row(v));
-    return mean;
-  }());
+  const auto from = [&](const auto& row) {
+    Positions positions = reference_;
+    for (const Index v : p_.free) positions.row(v) = row(v);
+    return evaluate(std::move(positions));
+  };
+  Trial best = from([&](Index v) { return Eigen::RowVector3d(0.5 * (inertial_.row(v) + skinned.row(v))); });
+  if (prediction_) {
+    Trial trial = from([&](Index v) { return Eigen::RowVector3d(prediction_->row(v)); });
+    if (trial.finite() && !(best.energy < trial.energy)) return trial;
+  }
   // The mean is usually the best start. Where the reference jumps it is not.
   for (const ConstPositions& other : {ConstPositions(skinned), ConstPositions(reference_)}) {
-    Positions positions = reference_;
-    for (const Index v : p_.free) positions.row(v) = other.row(v);
-    Trial trial = evaluate(std::move(positions));
+    Trial trial = from([&](Index v) { return Eigen::RowVector3d(other.row(v)); });
     if (trial.finite() && !(best.energy <= trial.energy)) best = std::move(trial);
   }
   return best;
@@ -309,13 +314,20 @@ void ImplicitEuler::reset(ConstPositions reference) {
   parts_->report = {};
 }
 
-const Positions& ImplicitEuler::step(ConstPositions reference, const Positions*) {
+const Positions& ImplicitEuler::step(ConstPositions reference, const Positions*) { return take_step(reference, nullptr); }
+
+const Positions& ImplicitEuler::step_from(ConstPositions prediction, ConstPositions reference) {
+  require_rows("prediction", prediction.rows(), vertex_count());
+  return take_step(reference, &prediction);
+}
+
+const Positions& ImplicitEuler::take_step(ConstPositions reference, const ConstPositions* prediction) {
   if (parts_->frames < 0) {
     throw InvalidInput("reference", "found a step before the first reset, expected reset to be called with the first frame");
   }
   require_rows("reference", reference.rows(), vertex_count());
   require_finite("reference", reference);
-  Positions after = Step(*parts_, reference).solve();
+  Positions after = Step(*parts_, reference, prediction).solve();
   if (!after.allFinite()) after = reference;
   parts_->before = std::move(parts_->positions);
   parts_->positions = std::move(after);

@@ -88,6 +88,7 @@ void require_constants(const NewtonBody& body, Eigen::Index count) {
   if (!(std::isfinite(body.dt) && body.dt > 0.0)) {
     throw InvalidInput("dt", "found " + std::to_string(body.dt) + ", expected a positive number of seconds");
   }
+  require_finite("gravity", body.gravity.transpose());
   if (!(std::isfinite(body.edge_length) && body.edge_length >= 0.0)) {
     throw InvalidInput("edge_length", "found " + std::to_string(body.edge_length) + ", expected a positive number of metres");
   }
@@ -159,6 +160,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   inverse_length = 1.0 / edge_length;
   const double mean_density = total_mass / total_volume;
   const double frames_per_edge = body.dt * inverse_length;
+  fall = 0.5 * body.dt * frames_per_edge * body.gravity.transpose();
   stiffness = (body.youngs_modulus.array() / body.density.array() * (frames_per_edge * frames_per_edge)).matrix();
 
   // Rows.
@@ -474,10 +476,11 @@ void NewtonProblem::begin(const NewtonHistory& h) {
     const bool moves = row < free_count;
     float* record = records.data() + std::int64_t{row} * kNewtonRecord;
     for (int k = 0; k < 3; ++k) {
-      const double u0 = h.dynamic[0](v, k) * inverse_length, u1 = h.dynamic[1](v, k) * inverse_length,
-                   u2 = h.dynamic[2](v, k) * inverse_length, u3 = h.dynamic[3](v, k) * inverse_length;
-      const double x1 = h.reference[0](v, k) * inverse_length, x0 = h.reference[1](v, k) * inverse_length,
-                   before = h.reference[2](v, k) * inverse_length, before_that = h.reference[3](v, k) * inverse_length;
+      // Frame t + n as it is seen from a frame of reference that falls.
+      const auto seen = [&, k](const ConstPositions& where, double n) { return where(v, k) * inverse_length - n * n * fall[k]; };
+      const double u0 = seen(h.dynamic[0], 0), u1 = seen(h.dynamic[1], -1), u2 = seen(h.dynamic[2], -2), u3 = seen(h.dynamic[3], -3);
+      const double x1 = seen(h.reference[0], 1), x0 = seen(h.reference[1], 0), before = seen(h.reference[2], -1),
+                   before_that = seen(h.reference[3], -2);
       const double ahead = u0 + (u0 - u1), acceleration = (u0 - u1) - (u1 - u2);
       const std::size_t place = 3 * size(row) + size(k);
       inertial[place] = ahead;
@@ -657,7 +660,7 @@ void NewtonProblem::write_estimate(Positions& out) const {
     // From u(t) on: what does not move keeps its digits.
     for (int k = 0; k < 3; ++k) {
       const std::size_t place = 3 * size(row) + size(k);
-      out(v, k) = now(v, k) + (positions[place] - last[place]) * edge_length;
+      out(v, k) = now(v, k) + (positions[place] - last[place] + fall[k]) * edge_length;
     }
   }
   for (std::int32_t row = free_count; row < row_count; ++row) out.row(vertices[size(row)]) = target.row(vertices[size(row)]);

@@ -66,6 +66,7 @@ struct NewtonProblem {
   std::vector<double> positions, start, inertial, saved, last;  // z, its first value, y, z before a step, u(t); (rows, 3)
   std::vector<LaneSums> sums;
   Positions now, target;  // u(t), x(t+1), m
+  Eigen::RowVector3d fall = Eigen::RowVector3d::Zero();  // of a free body in a frame, edges
   NewtonTets tet_frame{};
   NewtonRows row_frame{};
   double residual_square = 0;  // r . D^-1 r at the start of the conjugate gradients

@@ -41,6 +41,7 @@ void require_schedule(const NewtonSchedule& schedule);
 
 class PatchNewton final : public Solver {
  public:
+  /// Gravity is felt as Emulator has it: positions are those that are seen from a freely falling frame of reference.
   /// @throws InvalidInput as NewtonPatches and require_schedule
   PatchNewton(const NewtonBody& body, const NewtonSchedule& schedule);
   ~PatchNewton() override;
@@ -62,6 +63,7 @@ class PatchNewton final : public Solver {
   /// @param next_reference not used
   const Positions& step(ConstPositions reference, const Positions* next_reference = nullptr) override;
 
+  std::size_t frames_in_state() const override { return 4; }
   /// u(t) to u(t-3), x(t) to x(t-2); frames since the reset.
   SolverState state() const override;
   void restore(const SolverState& state) override;
