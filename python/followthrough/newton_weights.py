@@ -36,8 +36,8 @@ class NewtonSchedule:
     most_passes
         Of a frame.
     tolerance
-        Edges; passes end where the first preconditioned residual's root mean square is below it. The estimate is then off by about
-        three times as much.
+        Edges; passes end where the first preconditioned residual's root mean square is below it, the estimate being off by about
+        three times as much. In frames whose first step is shorter than a tenth of an edge it is smaller in proportion.
     """
 
     iterations: tuple[int, ...] = (10, 10)

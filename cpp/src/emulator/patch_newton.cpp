@@ -22,6 +22,9 @@ namespace {
 
 // Root mean square of the first preconditioned residual, in edges, below which a pass has nothing to do: rounding.
 constexpr double nothing_left = 1e-7;
+// Root mean square of the first step, in edges, from which on the tolerance is as it is given: calmer frames are solved as exactly
+// in proportion, so that what comes to rest does.
+constexpr double lively_step = 0.1;
 // How much larger it may be after a guide's step.
 constexpr double tolerated_growth = 4.0;
 
@@ -185,11 +188,18 @@ void PatchNewton::Parts::take_pass(const PackedPass& pass, double& left_before, 
 void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
   problem.begin({{dynamic[0], dynamic[1], dynamic[2], dynamic[3]}, {next_reference, reference[0], reference[1], reference[2]}});
   take_guided_step(start, false);
+  double square = 0;
+  for (int k = 0; k < 3; ++k) {
+    const float* step = problem.steps.data() + k * static_cast<std::ptrdiff_t>(problem.padded);
+    for (std::int32_t row = 0; row < problem.free_count; ++row) square += static_cast<double>(step[row]) * step[row];
+  }
+  const double liveliness = std::min(1.0, std::sqrt(square / (3.0 * std::max(problem.free_count, 1))) / lively_step);
+  const double enough = std::max(tolerance * liveliness, nothing_left);
   double left_before = -1.0;
   bool finished = false;
   for (int k = 0; k < most_passes && !finished; ++k) {
     const auto which = std::min(static_cast<std::size_t>(k), passes.size() - 1);
-    take_pass(passes[which], left_before, std::max(tolerance, nothing_left), finished);
+    take_pass(passes[which], left_before, enough, finished);
   }
   finished = false;
   for (int k = 0; k < extra_passes && !finished; ++k) take_pass(extra, left_before, nothing_left, finished);
