@@ -102,7 +102,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="sequences with their true motion")
     parser.add_argument("--weights", type=Path, help="default: those that are shipped")
-    parser.add_argument("--other", type=Path, nargs="*", default=[], help="more weights files, for example the paper's network")
+    parser.add_argument(
+        "--other", type=Path, nargs="*", default=[], help="more weights files, for example the paper's network"
+    )
     parser.add_argument("--pattern", default="*.npz")
     parser.add_argument("--frames", type=int)
     arguments = parser.parse_args()
@@ -121,7 +123,9 @@ def main() -> None:
             scale = 0.2 / Emulator.of_sequence(sequence, weights).edge_length
             for name, make in compared.items():
                 scores[name].append((evaluate(sequence, make(sequence)), scale))
-    print("| method | single | rollout 24 | rollout 48 | rollout all | energy max / truth | ms a frame | µs a free vertex |")
+    print(
+        "| method | single | rollout 24 | rollout 48 | rollout all | energy max / truth | ms a frame | µs a free vertex |"
+    )
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
     for name, all_scores in scores.items():
         columns = [
@@ -131,7 +135,9 @@ def main() -> None:
         energy = statistics.median(score.predicted.max / score.truth.max for score, _ in all_scores)
         time = statistics.median(score.ms_per_frame for score, _ in all_scores)
         each = statistics.median(1000 * score.ms_per_frame / score.free_vertices for score, _ in all_scores)
-        print(f"| {name} | {' | '.join(f'{value:.2g}' for value in columns)} | {energy:.3g} | {time:.3g} | {each:.3g} |")
+        print(
+            f"| {name} | {' | '.join(f'{value:.2g}' for value in columns)} | {energy:.3g} | {time:.3g} | {each:.3g} |"
+        )
 
 
 if __name__ == "__main__":

@@ -33,9 +33,7 @@ Guide guide_of(const Layers& layers) {
   return guide;
 }
 
-py::tuple arrays_of(PatchFeatures&& features) {
-  return py::make_tuple(std::move(features.vectors), std::move(features.scalars));
-}
+py::tuple arrays_of(PatchFeatures&& features) { return py::make_tuple(std::move(features.vectors), std::move(features.scalars)); }
 
 NewtonBody body_of(ConstPositions rest_positions, ConstTets tets, ConstMask constrained, const Vector& youngs_modulus,
                    const Vector& density, double dt, double edge_length, double poisson_ratio, double compression_resistance,
@@ -69,7 +67,8 @@ void bind_patches(py::module_& m) {
           "begin",
           [](NewtonPatches& patches, const std::array<Positions, 4>& dynamic, const std::array<Positions, 4>& reference) {
             const py::gil_scoped_release release;
-            patches.begin({{dynamic[0], dynamic[1], dynamic[2], dynamic[3]}, {reference[0], reference[1], reference[2], reference[3]}});
+            patches.begin(
+                {{dynamic[0], dynamic[1], dynamic[2], dynamic[3]}, {reference[0], reference[1], reference[2], reference[3]}});
           },
           py::arg("dynamic"), py::arg("reference"))
       .def("start_features", [](NewtonPatches& patches) { return arrays_of(patches.start_features()); })
@@ -89,9 +88,8 @@ void bind_emulator_newton(py::module_& m) {
   py::class_<PatchNewton, Solver>(m, "PatchNewton", "Dynamics by corrected Newton steps. Use followthrough.emulator.Emulator.")
       .def(py::init([](ConstPositions rest_positions, ConstTets tets, ConstMask constrained, const Vector& youngs_modulus,
                        const Vector& density, double dt, double edge_length, const Eigen::Vector3d& gravity, double poisson_ratio,
-                       double compression_resistance,
-                       const Layers& start, const std::vector<std::pair<int, Layers>>& passes, int most_passes, double tolerance,
-                       int extra_passes, int extra_iterations) {
+                       double compression_resistance, const Layers& start, const std::vector<std::pair<int, Layers>>& passes,
+                       int most_passes, double tolerance, int extra_passes, int extra_iterations) {
              const NewtonBody body = body_of(rest_positions, tets, constrained, youngs_modulus, density, dt, edge_length,
                                              poisson_ratio, compression_resistance, gravity);
              NewtonSchedule schedule{guide_of(start), {}, most_passes, tolerance, extra_passes, extra_iterations};
@@ -100,8 +98,9 @@ void bind_emulator_newton(py::module_& m) {
              return PatchNewton(body, schedule);
            }),
            py::arg("rest_positions"), py::arg("tets"), py::arg("constrained"), py::arg("youngs_modulus"), py::arg("density"),
-           py::arg("dt"), py::arg("edge_length"), py::arg("gravity"), py::arg("poisson_ratio"), py::arg("compression_resistance"), py::arg("start"),
-           py::arg("passes"), py::arg("most_passes"), py::arg("tolerance"), py::arg("extra_passes"), py::arg("extra_iterations"))
+           py::arg("dt"), py::arg("edge_length"), py::arg("gravity"), py::arg("poisson_ratio"), py::arg("compression_resistance"),
+           py::arg("start"), py::arg("passes"), py::arg("most_passes"), py::arg("tolerance"), py::arg("extra_passes"),
+           py::arg("extra_iterations"))
       .def_property_readonly("vertex_count", &PatchNewton::vertex_count)
       .def_property_readonly("free_vertex_count", &PatchNewton::free_vertex_count)
       .def_property_readonly("edge_count", &PatchNewton::edge_count)

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from followthrough.newton_weights import NewtonSchedule, guide_inputs
+
 Array = np.ndarray
 PERCEPTRONS = ("edge_mlp", "edge_mlp_2", "edge_mlp_3")
 
@@ -112,33 +114,32 @@ class PlainNetwork:
 
 
 def random_newton_parameters(
-    seed: int, channels: dict[int, str], *, edge: tuple[int, ...] = (12, 8), instance: tuple[int, ...] = (16,)
+    seed: int, schedule: NewtonSchedule, widths: tuple[int, ...] = (12, 8)
 ) -> dict[str, np.ndarray]:
-    """Random parameters of corrected Newton passes; `channels` of each pass that has a network."""
+    """Random guides whose coefficients are near those of a half way start and of whole steps."""
     random = np.random.default_rng(seed)
-
-    def weight(outputs: int, inputs: int, gain: float = 1.0) -> np.ndarray:
-        return (gain * random.normal(size=(outputs, inputs)) / np.sqrt(inputs)).astype(np.float32)
-
-    def bias(outputs: int) -> np.ndarray:
-        return (0.1 * random.normal(size=outputs)).astype(np.float32)
-
     parameters = {}
-    for number, letters in channels.items():
-        place, vectors = f"passes.{number}", 3 * len(letters)
-        width = vectors + 8
-        for k, outputs in enumerate(edge):
-            parameters[f"{place}.edge.{k}.weight"] = weight(outputs, width)
-            if k:
-                parameters[f"{place}.edge.{k}.bias"] = bias(outputs)
-            width = outputs
-        parameters[f"{place}.centre.weight"] = weight(edge[0], vectors + 17)
-        parameters[f"{place}.centre.bias"] = bias(edge[0])
-        width += vectors + 17
-        for k, outputs in enumerate(instance):
-            parameters[f"{place}.instance.{k}.weight"] = weight(outputs, width)
-            parameters[f"{place}.instance.{k}.bias"] = bias(outputs)
-            width = outputs
-        parameters[f"{place}.out.weight"] = weight(3, width, 0.05)
-        parameters[f"{place}.skip"] = np.array([0.9], np.float32)
+    for guide, size in schedule.guides().items():
+        inputs = guide_inputs(size)
+        for k, outputs in enumerate((*widths, size[0])):
+            gain = 0.05 if k == len(widths) else 1.0
+            parameters[f"{guide}.{k}.weight"] = (gain * random.normal(size=(outputs, inputs)) / np.sqrt(inputs)).astype(
+                np.float32
+            )
+            parameters[f"{guide}.{k}.bias"] = (0.1 * gain * random.normal(size=outputs)).astype(np.float32)
+            inputs = outputs
+        parameters[f"{guide}.{len(widths)}.bias"][0] += 0.5 if guide == "start" else 0.9
     return parameters
+
+
+def guided_step(parameters: dict[str, np.ndarray], guide: str, vectors: np.ndarray, scalars: np.ndarray) -> np.ndarray:
+    """What a guide makes of vectors (f, v, 3) and numbers (f, k)."""
+    products = vectors @ vectors.transpose(0, 2, 1)
+    square = np.trace(products, axis1=1, axis2=2)[:, None] + 1e-18
+    pairs = products[:, *np.triu_indices(vectors.shape[1])]
+    h = np.concatenate([np.sign(pairs) * np.sqrt(np.abs(pairs) / square + 1e-9), scalars], axis=1)
+    depth = sum(name.startswith(f"{guide}.") and name.endswith("bias") for name in parameters)
+    for k in range(depth):
+        h = h @ parameters[f"{guide}.{k}.weight"].T + parameters[f"{guide}.{k}.bias"]
+        h = np.tanh(h) if k + 1 < depth else h
+    return np.einsum("iv,iva->ia", h, vectors)

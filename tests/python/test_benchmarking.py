@@ -62,6 +62,7 @@ def test_finer_meshes_pose_the_same_body() -> None:
         assert np.linalg.norm(centres[0] - centres[1]) < 0.15
 
 
+@pytest.mark.filterwarnings("ignore:stiffness")  # the scene is softer than what the emulator has learned
 def test_errors_are_those_of_evaluate(scene: Scene) -> None:
     results = by_name(measure(scene, list(METHODS), [1]).results)
     assert list(results) == [method.name for method in METHODS]

@@ -280,27 +280,6 @@ def test_rollout_and_evaluate_on_the_command_line(
     assert "outside the 1.25 to 125" in capsys.readouterr().err
 
 
-def test_weights_that_come_with_the_product_are_the_default(
-    sequence: Sequence,
-    weights_file: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    given, output, named = tmp_path / "motion.npz", tmp_path / "out.npz", tmp_path / "named.npz"
-    sequence.save(given)
-    monkeypatch.setattr(emulator_weights.resources, "files", lambda package: tmp_path / package)
-    assert cli.main(["rollout", str(given), "-o", str(output)]) == 2
-    assert "emulator.npz, which comes with followthrough: install it again, or name" in capsys.readouterr().err
-    assert not output.exists()
-    shipped = tmp_path / "followthrough" / "weights" / "emulator.npz"
-    shipped.parent.mkdir(parents=True)
-    shipped.write_bytes(weights_file.read_bytes())
-    assert cli.main(["rollout", str(given), "--quiet", "-o", str(output)]) == 0
-    assert cli.main(["rollout", str(given), "--weights", str(weights_file), "--quiet", "-o", str(named)]) == 0
-    np.testing.assert_array_equal(Sequence.load(output).dynamic, Sequence.load(named).dynamic)
-
-
 def test_commands_with_bad_weights_say_so(
     sequence: Sequence, weights_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Newton passes that a network corrects: what training sees, their weights files, and the commands that take them."""
+"""Newton passes that small networks guide: what training sees, their weights files, and the commands that take them."""
 
 import itertools
 import json
@@ -17,16 +17,16 @@ from followthrough.elastic import ElasticBody, ImplicitEuler
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights, TrainedOn
 from followthrough.newton_patches import NewtonPatches
-from followthrough.newton_weights import NewtonPass, NewtonSchedule
+from followthrough.newton_weights import NewtonSchedule
 from followthrough.sequences import Sequence
 from followthrough.simulation import simulate
 
 sys.path.insert(0, str(Path(__file__).parent))
-from plain_network import random_newton_parameters, random_parameters
+from plain_network import guided_step, random_newton_parameters, random_parameters
 
 CUBE = ((0, 4, 2, 1), (4, 2, 1, 5), (2, 1, 5, 3), (4, 6, 2, 5), (6, 5, 7, 3), (6, 2, 5, 3))  # bits of a corner: x y z
 FRAMES = 20
-SCHEDULE = NewtonSchedule((NewtonPass(4, "gwsar"), NewtonPass(8)))
+SCHEDULE = NewtonSchedule((4, 8), most_passes=3, tolerance=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -49,56 +49,43 @@ def sequence() -> Sequence:
 
 @pytest.fixture(scope="module")
 def weights() -> EmulatorWeights:
-    return EmulatorWeights(random_newton_parameters(0, {0: "gwsar"}), newton=SCHEDULE)
+    return EmulatorWeights(random_newton_parameters(0, SCHEDULE), newton=SCHEDULE)
 
 
-def network_step(parameters: dict, patches: NewtonPatches, channels: str) -> np.ndarray:
-    """A pass's step in NumPy, from what training sees."""
-    edges, centres, sigma, rotations = patches.features(channels)
-    starts = patches.edge_starts
-    centre_of_edge = np.repeat(np.arange(len(sigma)), np.diff(starts))
-    share = centres @ parameters["passes.0.centre.weight"].T + parameters["passes.0.centre.bias"]
-    h = np.tanh(edges @ parameters["passes.0.edge.0.weight"].T + share[centre_of_edge])
-    h = np.tanh(h @ parameters["passes.0.edge.1.weight"].T + parameters["passes.0.edge.1.bias"])
-    h = np.concatenate([np.add.reduceat(h, starts[:-1]) / 8, centres], axis=1)
-    h = np.tanh(h @ parameters["passes.0.instance.0.weight"].T + parameters["passes.0.instance.0.bias"])
-    out = h @ parameters["passes.0.out.weight"].T + parameters["passes.0.skip"] * centres[:, :3]
-    return sigma[:, None] * np.einsum("iab,ib->ia", rotations, out)
-
-
-def test_a_network_on_what_training_sees_is_the_emulator(sequence: Sequence, weights: EmulatorWeights) -> None:
+def test_guides_on_what_training_sees_are_the_emulator(sequence: Sequence, weights: EmulatorWeights) -> None:
     expected = simulate(sequence, Emulator.of_sequence(sequence, weights)).dynamic
     assert expected is not None
+    parameters = dict(weights.parameters)
     patches = NewtonPatches.of_sequence(sequence)
     free = np.flatnonzero(~sequence.constrained)
     np.testing.assert_array_equal(np.sort(patches.free_vertices), free)
-    x, frames = sequence.reference, [sequence.reference[0]] * 3
+    x, frames = sequence.reference, [sequence.reference[0]] * 4
     for frame in range(1, FRAMES):
-        patches.begin(np.array(frames[:-4:-1]), np.array([x[max(frame - 2, 0)], x[frame - 1], x[frame]]), SCHEDULE.beta)
-        patches.evaluate(4)
-        patches.move(network_step(dict(weights.parameters), patches, "gwsar"))
-        patches.evaluate(8)
-        patches.move(patches.direction())
+        past = [x[max(frame - k, 0)] for k in range(4)]
+        patches.begin(np.array(frames[:-5:-1]), np.array(past))
+        patches.move(guided_step(parameters, "start", *patches.start_features()))
+        for guide, iterations in (("passes.0", 4), ("passes.1", 8), ("passes.1", 8)):
+            patches.evaluate(iterations)
+            patches.move(guided_step(parameters, guide, *patches.features()))
         frames.append(expected[frame])  # one frame at a time
         np.testing.assert_allclose(patches.estimate(), expected[frame], rtol=0, atol=2e-6)
     assert np.abs(expected - x)[:, free].max() > 0.02
 
 
-def test_what_training_sees_does_not_turn_with_the_scene(sequence: Sequence) -> None:
+def test_what_training_sees_turns_with_the_scene(sequence: Sequence) -> None:
     turn, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
     turn *= np.sign(np.linalg.det(turn))
     patches = NewtonPatches.of_sequence(sequence)
     seen = []
     for placed in (np.eye(3), turn):
         x = sequence.reference @ placed.T + (placed[0] * 50)
-        patches.begin(np.array([x[6], x[5], x[5]]), np.array([x[6], x[7], x[8]]))
+        patches.begin(np.array([x[6], x[5], x[5], x[4]]), np.array([x[8], x[7], x[6], x[5]]))
+        start = patches.start_features()
         patches.evaluate(5)
-        seen.append((patches.features("gplwsar"), patches.direction()))
-    (here, direction), (there, turned) = seen
-    for a, b in zip(here[:3], there[:3], strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=2e-3)
-    np.testing.assert_allclose(turn @ here.rotations, there.rotations, rtol=0, atol=1e-5)
-    np.testing.assert_allclose(direction @ turn.T, turned, rtol=0, atol=1e-4)
+        seen.append((start, patches.features()))
+    for here, there in zip(*seen, strict=True):
+        np.testing.assert_allclose(here.vectors @ turn.T, there.vectors, rtol=0, atol=1e-4)
+        np.testing.assert_allclose(here.scalars, there.scalars, rtol=0, atol=2e-3)
 
 
 def test_extra_passes_take_a_frame_to_backward_eulers_answer(sequence: Sequence, weights: EmulatorWeights) -> None:
@@ -113,14 +100,12 @@ def test_extra_passes_take_a_frame_to_backward_eulers_answer(sequence: Sequence,
         off.append(np.abs(result - truth.dynamic).max())
     assert off[0] > off[1] > off[2]
     assert off[2] < 2e-5
-    with pytest.raises(ValueError, match="extra_passes: found 1, expected 0 for a network that corrects no passes"):
+    with pytest.raises(ValueError, match="extra_passes: found 1, expected 0 for a network that takes no Newton steps"):
         Emulator.of_sequence(sequence, EmulatorWeights(random_parameters(0)), extra_passes=1)
 
 
 def test_the_material_is_the_scenes_own(sequence: Sequence, weights: EmulatorWeights) -> None:
-    with pytest.warns(
-        UserWarning, match=r"poisson_ratio: found 0\.3, but the network learned 0\.45 and corrects others"
-    ):
+    with pytest.warns(UserWarning, match=r"poisson_ratio: found 0\.3, but the network learned 0\.45 and guides others"):
         other = Emulator.of_sequence(replace(sequence, poisson_ratio=0.3), weights)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -131,11 +116,11 @@ def test_the_material_is_the_scenes_own(sequence: Sequence, weights: EmulatorWei
 def test_weights_files_keep_everything(weights: EmulatorWeights, tmp_path: Path) -> None:
     path = tmp_path / "weights.npz"
     trained = TrainedOn(stiffness_range=(0.1, 900.0))
-    schedule = NewtonSchedule((NewtonPass(8), NewtonPass(0, "pl"), NewtonPass(3, "g")), beta=0.25)
-    parameters = random_newton_parameters(1, {1: "pl", 2: "g"}, edge=(5,), instance=(7, 3))
+    schedule = NewtonSchedule((8, 0, 3), most_passes=7, tolerance=0.25)
+    parameters = random_newton_parameters(1, schedule, widths=(5,))
     EmulatorWeights(parameters, trained, {"seed": 3}, schedule).save(path)
     loaded = EmulatorWeights.load(path)
-    assert (loaded.network, loaded.newton, loaded.trained_on) == ("patch-newton", schedule, trained)
+    assert (loaded.network, loaded.newton, loaded.trained_on) == ("guided-newton", schedule, trained)
     assert loaded.manifest == {"seed": 3}
     assert set(loaded.parameters) == set(parameters)
     for name, array in parameters.items():
@@ -157,40 +142,35 @@ def test_weights_that_do_not_fit_are_refused(weights: EmulatorWeights, tmp_path:
             EmulatorWeights.load(path)
         assert str(path) in str(caught.value)
 
-    nan = good["passes.0.edge.1.weight"].copy()
+    nan = good["passes.0.1.weight"].copy()
     nan[3, 5] = np.nan
-    refused(r"passes\.0\.edge\.1\.weight: found nan at \[3, 5\]", {"passes.0.edge.1.weight": nan})
-    refused(r"found no passes\.0\.edge\.0\.weight", drop="passes.0.edge.0.weight")
-    refused(r"found no passes\.0\.centre\.bias, expected one of shape \(12,\)", drop="passes.0.centre.bias")
-    refused(r"found no passes\.0\.skip, expected one of shape \(1,\)", drop="passes.0.skip")
-    refused(r"skip: found shape \(2,\), expected \(1,\)", {"passes.0.skip": np.zeros(2, np.float32)})
-    refused(r"skip: found shape \(\), expected \(1,\)", {"passes.0.skip": np.float32(1)})
-    wide = np.zeros((12, 24), np.float32)
-    refused(r"edge\.0\.weight: found shape \(12, 24\), expected \(12, 23\)", {"passes.0.edge.0.weight": wide})
-    refused(r"out\.weight: found shape \(2, 16\)", {"passes.0.out.weight": np.zeros((2, 16), np.float32)})
-    refused(r"found passes\.0\.edge\.0\.bias, expected only", {"passes.0.edge.0.bias": np.zeros(12, np.float32)})
-    refused(r"found passes\.1\.skip, expected only parameters", {"passes.1.skip": np.zeros(1, np.float32)})
-    refused(r"found passes\.0\.edge\.3\.weight", {"passes.0.edge.3.weight": np.zeros((2, 2), np.float32)})
+    refused(r"passes\.0\.1\.weight: found nan at \[3, 5\]", {"passes.0.1.weight": nan})
+    refused(r"found no passes\.0\.0\.weight, expected at least one layer", drop="passes.0.0.weight")
+    refused(r"found no start\.0\.bias, expected one of shape \(12,\)", drop="start.0.bias")
+    refused(
+        r"start\.0\.weight: found shape \(12, 48\), expected \(12, 49\)",
+        {"start.0.weight": np.zeros((12, 48), np.float32)},
+    )
+    refused(r"passes\.1\.2\.weight: found shape \(5, 8\)", {"passes.1.2.weight": np.zeros((5, 8), np.float32)})
+    refused(
+        r"found passes\.0\.4\.weight, expected only parameters", {"passes.0.4.weight": np.zeros((2, 2), np.float32)}
+    )
+    refused(r"found passes\.2\.0\.bias, expected only parameters", {"passes.2.0.bias": np.zeros(1, np.float32)})
     refused(r"found point_mlp\.0\.weight, expected only", {"point_mlp.0.weight": np.zeros((64, 18), np.float32)})
-    refused("found int64, expected float32", {"passes.0.skip": np.zeros(1, np.int64)})
-    refused("found inf", {"passes.0.skip": np.full(1, 1e300)})
-    for passes, message in (
-        ([{"iterations": -1, "channels": "gwsar"}], "iterations: found -1"),
-        ([{"iterations": 2.5, "channels": "gwsar"}], r"iterations: found 2\.5"),
-        ([{"iterations": 10**9, "channels": "gwsar"}], "expected at most 10000"),
-        ([{"iterations": 4, "channels": "gwsaz"}], "channels: found 'gwsaz'"),
-        ([{"iterations": 4, "channels": "gwsaa"}], "channels: found 'gwsaa'"),
-        ([{"iterations": 4, "channels": ""}], "channels: found ''"),
-        ([{"iterations": 4}], "metadata that this version cannot read"),
-        ([], "passes: found none"),
+    refused("found int64, expected float32", {"start.0.bias": np.zeros(12, np.int64)})
+    refused("found inf", {"start.0.bias": np.full(12, 1e300)})
+    for iterations, message in (
+        ([-1, 8], "iterations: found -1"),
+        ([2.5, 8], r"iterations: found 2\.5"),
+        ([4, 10**9], "iterations: found 1000000000, expected a whole number, 0 to 10000"),
+        ([4], "expected only parameters of the passes"),
         (None, "metadata that this version cannot read"),
-        ([{"iterations": 4, "channels": "gws"}], r"expected \(12, 17\)"),
     ):
-        refused(message, passes=passes)
-    refused(r"beta: found 1\.5", beta=1.5)
-    refused("beta: found nan", beta=math.nan)
+        refused(message, iterations=iterations)
+    refused("most_passes: found -2", most_passes=-2)
+    refused("tolerance: found nan", tolerance=math.nan)
     refused("found format 1 of a network called patch-oldton", network="patch-oldton")
-    refused("found passes.0", network="patch")
+    refused("expected only", network="patch")
     weights.save(path)
     path.write_bytes(path.read_bytes()[:-700])
     with pytest.raises(ValueError, match=r"no readable \.npz archive"):
@@ -217,21 +197,21 @@ def test_rollout_and_evaluate_on_the_command_line(
 
 def test_frames_that_do_not_fit_are_refused(sequence: Sequence) -> None:
     patches = NewtonPatches.of_sequence(sequence)
-    frames = sequence.reference[:3]
+    frames = sequence.reference[:4]
     with pytest.raises(ValueError, match="estimate: found none, expected begin"):
         patches.evaluate(3)
-    with pytest.raises(ValueError, match=r"dynamic: found shape \(2, 20, 3\), expected \(3, 20, 3\)"):
+    with pytest.raises(ValueError, match="estimate: found none, expected begin"):
+        patches.start_features()
+    with pytest.raises(ValueError, match=r"dynamic: found shape \(2, 20, 3\), expected \(4, 20, 3\)"):
         patches.begin(frames[:2], frames)
     broken = frames.copy()
     broken[1, 3, 2] = np.inf
-    with pytest.raises(ValueError, match="reference_now: "):
+    with pytest.raises(ValueError, match=r"reference\[1\]: "):
         patches.begin(frames, broken)
-    with pytest.raises(ValueError, match=r"beta: found 1\.5"):
-        patches.begin(frames, frames, 1.5)
     patches.begin(frames, frames)
+    with pytest.raises(ValueError, match="estimate: found none that was evaluated"):
+        patches.features()
     patches.evaluate(2)
-    with pytest.raises(ValueError, match="channels: found gg, expected some of the letters"):
-        patches.features("gg")
     with pytest.raises(ValueError, match=r"step: found shape \(3, 3\), expected \(16, 3\)"):
         patches.move(np.zeros((3, 3)))
     with pytest.raises(ValueError, match="step: found NaN"):

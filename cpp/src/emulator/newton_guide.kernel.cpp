@@ -18,8 +18,8 @@ inline void guide_inputs(const GuideInputs& in, std::int64_t first, float* out) 
       const Lanes x = load(left), y = load(left + in.padded), z = load(left + 2 * std::int64_t{in.padded});
       for (std::int32_t b = a; b < in.vector_count; ++b, to += kNewtonGroup) {
         const float* right = in.vectors[b] + first + lane;
-        const Lanes product = multiply_add(x, load(right),
-                                           multiply_add(y, load(right + in.padded), multiply(z, load(right + 2 * std::int64_t{in.padded}))));
+        const Lanes product = multiply_add(
+            x, load(right), multiply_add(y, load(right + in.padded), multiply(z, load(right + 2 * std::int64_t{in.padded}))));
         const Lanes size = larger(product, subtract(zero, product));
         const Lanes root = square_root(multiply_add(size, share, floor));
         store(to, select(less(product, zero), subtract(zero, root), select(less(zero, product), root, zero)));
@@ -103,7 +103,8 @@ void guide_rows(const GuideInputs& in, const GuideKernel& guide, std::int32_t fi
       for (int lane = 0; lane < kNewtonGroup; lane += kLanes) {
         Lanes sum = broadcast(0.0f);
         for (std::int32_t v = 0; v < in.vector_count; ++v) {
-          sum = multiply_add(load(now + v * kNewtonGroup + lane), load(in.vectors[v] + axis * std::int64_t{in.padded} + first + lane), sum);
+          sum = multiply_add(load(now + v * kNewtonGroup + lane),
+                             load(in.vectors[v] + axis * std::int64_t{in.padded} + first + lane), sum);
         }
         store(in.steps + axis * std::int64_t{in.padded} + first + lane, sum);
       }

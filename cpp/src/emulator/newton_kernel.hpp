@@ -89,20 +89,20 @@ struct GuideKernel {
   std::int32_t widest;  ///< of its inputs and outputs
 };
 
-#define FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(isa)                                                                         \
-  namespace isa {                                                                                                         \
-  void tet_shares(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept;                    \
-  void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept; \
-  void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept; \
-  void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group, std::int32_t last_group,              \
-                    LaneSums* sums) noexcept;                                                                             \
-  void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, std::int32_t last_group) noexcept;        \
-  /* Means of the neighbours' records minus the row's own, (16, padded). */                                               \
+#define FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(isa)                                                                           \
+  namespace isa {                                                                                                           \
+  void tet_shares(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept;                      \
+  void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;   \
+  void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;   \
+  void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group, std::int32_t last_group,                \
+                    LaneSums* sums) noexcept;                                                                               \
+  void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, std::int32_t last_group) noexcept;          \
+  /* Means of the neighbours' records minus the row's own, (16, padded). */                                                 \
   void neighbour_means(const float* records, const std::int32_t* starts, const std::int32_t* neighbours, std::int32_t rows, \
-                       std::int32_t padded, std::int32_t first_group, std::int32_t last_group, float* means) noexcept;     \
-  /* Scratch: 2 kNewtonGroup widest floats. */                                                                             \
-  void guide_rows(const GuideInputs& inputs, const GuideKernel& guide, std::int32_t first_group, std::int32_t last_group,  \
-                  float* scratch) noexcept;                                                                                \
+                       std::int32_t padded, std::int32_t first_group, std::int32_t last_group, float* means) noexcept;      \
+  /* Scratch: 2 kNewtonGroup widest floats. */                                                                              \
+  void guide_rows(const GuideInputs& inputs, const GuideKernel& guide, std::int32_t first_group, std::int32_t last_group,   \
+                  float* scratch) noexcept;                                                                                 \
   }
 FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(baseline)
 FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(avx2)

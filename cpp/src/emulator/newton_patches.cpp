@@ -50,7 +50,8 @@ const std::vector<Index>& NewtonPatches::neighbours() const { return problem_->e
 void NewtonPatches::begin(const NewtonHistory& history) {
   for (std::size_t k = 0; k < 4; ++k) {
     const std::string place = "[" + std::to_string(k) + "]";
-    for (const auto& [name, positions] : {std::pair{"dynamic", &history.dynamic[k]}, std::pair{"reference", &history.reference[k]}}) {
+    for (const auto& [name, positions] :
+         {std::pair{"dynamic", &history.dynamic[k]}, std::pair{"reference", &history.reference[k]}}) {
       require_rows((name + place).c_str(), positions->rows(), problem_->count);
       require_finite((name + place).c_str(), *positions);
     }

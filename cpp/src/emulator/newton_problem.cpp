@@ -41,8 +41,8 @@ struct Kernels {
 };
 
 Kernels kernels() {
-#define FOLLOWTHROUGH_KERNELS_OF(isa)                                                                           \
-  {                                                                                                             \
+#define FOLLOWTHROUGH_KERNELS_OF(isa)                                                                                \
+  {                                                                                                                  \
     isa::tet_shares, isa::assemble_rows, isa::multiply_rows, isa::advance_rows, isa::turn_rows, isa::neighbour_means \
   }
   switch (instruction_set()) {
@@ -478,7 +478,8 @@ void NewtonProblem::begin(const NewtonHistory& h) {
     for (int k = 0; k < 3; ++k) {
       // Frame t + n as it is seen from a frame of reference that falls.
       const auto seen = [&, k](const ConstPositions& where, double n) { return where(v, k) * inverse_length - n * n * fall[k]; };
-      const double u0 = seen(h.dynamic[0], 0), u1 = seen(h.dynamic[1], -1), u2 = seen(h.dynamic[2], -2), u3 = seen(h.dynamic[3], -3);
+      const double u0 = seen(h.dynamic[0], 0), u1 = seen(h.dynamic[1], -1), u2 = seen(h.dynamic[2], -2),
+                   u3 = seen(h.dynamic[3], -3);
       const double x1 = seen(h.reference[0], 1), x0 = seen(h.reference[1], 0), before = seen(h.reference[2], -1),
                    before_that = seen(h.reference[3], -2);
       const double ahead = u0 + (u0 - u1), acceleration = (u0 - u1) - (u1 - u2);
@@ -563,7 +564,8 @@ void NewtonProblem::describe_start() {
   const std::size_t columns = size(padded);
 #pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 600.0))
   for (std::int32_t group = 0; group < groups; ++group) {
-    kernel.neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1, means.data());
+    kernel.neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1,
+                           means.data());
   }
   std::copy_n(nearness.data(), columns, scalars.data() + columns);
   std::copy_n(half_log_stiffness.data(), columns, scalars.data() + 2 * columns);
@@ -584,7 +586,8 @@ void NewtonProblem::describe_pass() {
   }
 #pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 600.0))
   for (std::int32_t group = 0; group < groups; ++group) {
-    kernel.neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1, means.data());
+    kernel.neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1,
+                           means.data());
     for (std::int32_t lane = 0; lane < kNewtonGroup; ++lane) {
       const std::int32_t row = group * kNewtonGroup + lane;
       const float* d = diagonal.data() + std::int64_t{group} * 6 * kNewtonGroup + lane;
@@ -627,7 +630,7 @@ void NewtonProblem::move(const float* step, bool of_pass) {
   }
   if (of_pass) {
     std::copy_n(step, 3 * size(padded), motion.data());
-  } else {
+  } else if (finite()) {
     start = positions;
   }
 }

@@ -65,7 +65,7 @@ struct NewtonProblem {
   std::vector<float> lumped_masses, half_log_stiffness, nearness, fullness;
   std::vector<double> positions, start, inertial, saved, last;  // z, its first value, y, z before a step, u(t); (rows, 3)
   std::vector<LaneSums> sums;
-  Positions now, target;  // u(t), x(t+1), m
+  Positions now, target;                                 // u(t), x(t+1), m
   Eigen::RowVector3d fall = Eigen::RowVector3d::Zero();  // of a free body in a frame, edges
   NewtonTets tet_frame{};
   NewtonRows row_frame{};

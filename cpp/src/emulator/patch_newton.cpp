@@ -51,8 +51,8 @@ void require_layer(const std::string& place, const DenseLayer& layer, Eigen::Ind
                                               " columns, one an input");
   }
   if (layer.bias.size() != layer.weight.rows()) {
-    throw InvalidInput(place + ".bias", "found " + std::to_string(layer.bias.size()) + " numbers, expected " +
-                                            std::to_string(layer.weight.rows()));
+    throw InvalidInput(place + ".bias",
+                       "found " + std::to_string(layer.bias.size()) + " numbers, expected " + std::to_string(layer.weight.rows()));
   }
   if (!layer.weight.allFinite()) throw InvalidInput(place + ".weight", "found NaN or infinity, expected finite numbers");
   if (!layer.bias.allFinite()) throw InvalidInput(place + ".bias", "found NaN or infinity, expected finite numbers");

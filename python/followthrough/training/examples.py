@@ -43,9 +43,7 @@ def load_sequences(folders: list[Path]) -> tuple[dict[str, Sequence], str]:
                 found[str(path)] = sequence
                 digest.update(f"{path.name} {sequence.dynamic.shape}".encode() + sequence.dynamic[-1].tobytes())
     if not found:
-        raise ValueError(
-            f"{folders[0]}: found no sequence with two frames and a free vertex, expected at least one"
-        )
+        raise ValueError(f"{folders[0]}: found no sequence with two frames and a free vertex, expected at least one")
     return found, digest.hexdigest()
 
 

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor, nn
 
 from followthrough.character import FloatArray
-from followthrough.emulator_weights import TrainedOn
 from followthrough.newton_patches import NewtonPatches
 from followthrough.sequences import Sequence
 from followthrough.training.examples import load_sequences
@@ -58,8 +57,7 @@ class NewtonDataSet:
 
     def __init__(self, sequences: dict[str, Sequence], digest: str) -> None:
         self.examples = [
-            NewtonExample(sequence, NewtonPatches.of_sequence(sequence))
-            for sequence in sequences.values()
+            NewtonExample(sequence, NewtonPatches.of_sequence(sequence)) for sequence in sequences.values()
         ]
         self.digest = digest
         steps = np.array([sequence.frame_count - 1 for sequence in sequences.values()])

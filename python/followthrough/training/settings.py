@@ -94,7 +94,11 @@ class LearningSettings:
                 raise ValueError(f"found unknown {name}, expected only {', '.join(known)}")
             default = known[name].default
             kinds = (
-                (list, tuple) if isinstance(default, tuple) else (int, float) if type(default) is float else (type(default),)
+                (list, tuple)
+                if isinstance(default, tuple)
+                else (int, float)
+                if type(default) is float
+                else (type(default),)
             )
             if type(value) not in kinds:
                 raise ValueError(f"{name}: found {value!r}, expected something like {default!r}")

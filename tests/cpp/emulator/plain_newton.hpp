@@ -1,14 +1,13 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
-/// Newton passes that a network corrects, in double precision and dense matrices: as newton_patches.hpp and patch_newton.hpp define
-/// them, and not as they are fast.
+/// Newton passes that guides make the steps of, in double precision and dense matrices: as newton_patches.hpp and patch_newton.hpp
+/// define them, and not as they are fast.
 #pragma once
 
 #include <algorithm>
 #include <cmath>
 #include <random>
 #include <set>
-#include <string>
 #include <vector>
 
 #include <Eigen/Geometry>
@@ -22,30 +21,30 @@ namespace followthrough {
 
 struct NewtonWidths {
   int iterations = 4;
-  std::string channels;
-  std::vector<Eigen::Index> edge, instance;
+  bool guided = true;
+  std::vector<Eigen::Index> hidden;
 };
 
-/// Random passes; the last layer is damped by `gain`.
-inline NewtonSchedule random_schedule(unsigned seed, const std::vector<NewtonWidths>& passes, float gain = 0.02f) {
+inline Guide random_guide(std::mt19937& random, GuideSize size, std::vector<Eigen::Index> widths, float first, float gain) {
+  widths.push_back(size.vectors);
+  Guide guide = random_perceptron(random, size.vectors * (size.vectors + 1) / 2 + size.scalars, widths, true);
+  guide.back().weight *= gain;
+  guide.back().bias *= gain;
+  guide.back().bias[0] += first;
+  return guide;
+}
+
+/// Random guides whose coefficients are `gain` off those of a half way start and of whole steps; as many passes as are named.
+inline NewtonSchedule random_schedule(unsigned seed, const std::vector<NewtonWidths>& passes, float gain = 0.05f) {
   std::mt19937 random(seed);
   NewtonSchedule schedule;
+  schedule.start = random_guide(random, start_guide_size(), {24, 17}, 0.5f, gain);
   for (const NewtonWidths& widths : passes) {
-    NewtonPass pass;
-    pass.iterations = widths.iterations;
-    pass.channels = widths.channels;
-    if (pass.has_network()) {
-      const auto vectors = static_cast<Eigen::Index>(3 * pass.channels.size());
-      pass.edge = random_perceptron(random, vectors + 8, widths.edge, true);
-      pass.edge.front().bias.resize(0);
-      pass.centre = random_perceptron(random, vectors + 17, {widths.edge.front()}, true).front();
-      pass.instance = random_perceptron(random, widths.edge.back() + vectors + 17, widths.instance, true);
-      pass.out = random_perceptron(random, widths.instance.back(), {3}, false).front();
-      pass.out.weight *= gain;
-      pass.skip = 0.9f;
-    }
-    schedule.passes.push_back(pass);
+    schedule.passes.push_back({widths.iterations, {}});
+    if (widths.guided) schedule.passes.back().guide = random_guide(random, pass_guide_size(), widths.hidden, 0.9f, gain);
   }
+  schedule.most_passes = static_cast<int>(passes.size());
+  schedule.tolerance = 0.0;
   return schedule;
 }
 
@@ -96,38 +95,56 @@ class PlainNewton {
     for (Eigen::Index v = 0; v < n; ++v) {
       if (!body.constrained[v]) free_.push_back(static_cast<Index>(v));
     }
+    // Tets to the nearest constrained vertex.
+    hops_.assign(static_cast<std::size_t>(n), 20);
+    for (int round = 0; round < 20; ++round) {
+      for (Eigen::Index v = 0; v < n; ++v) {
+        int& mine = hops_[static_cast<std::size_t>(v)];
+        if (body.constrained[v]) mine = 0;
+        for (const Index other : near_[static_cast<std::size_t>(v)])
+          mine = std::min(mine, hops_[static_cast<std::size_t>(other)] + 1);
+      }
+    }
   }
 
-  void reset(const Positions& reference) { u_ = {reference, reference, reference, reference, reference}; }
+  void reset(const Positions& reference) { u_.assign(7, reference); }
 
   const Positions& step(const Positions& reference) {
-    const Positions u0 = u_[0] / length_, u1 = u_[1] / length_, u2 = u_[2] / length_;
-    const Positions x0 = u_[3] / length_, past = u_[4] / length_, x1 = reference / length_;
-    y_ = 2 * u0 - u1;
-    Positions w = x1 - x0 - u0 + u1;
-    z_ = y_ + schedule_.beta * w;
+    std::vector<Positions> u;
+    for (const Positions& frame : u_) u.push_back(frame / length_);
+    const Positions x1 = reference / length_, &x0 = u[4];
+    y_ = 2 * u[0] - u[1];
+    z_ = y_;
+    Positions w = x1 - x0 - u[0] + u[1];
     for (Eigen::Index v = 0; v < z_.rows(); ++v) {
       if (!body_.constrained[v]) continue;
-      w.row(v).setZero();
       z_.row(v) = x1.row(v);
+      w.row(v) = x1.row(v) - y_.row(v);
     }
-    channels_.assign(128, Positions::Zero(z_.rows(), 3));
-    channels_['w'] = w;
-    channels_['s'] = u0 - x0;
-    channels_['a'] = u0 - 2 * u1 + u2;
-    channels_['r'] = x1 - 2 * x0 + past;
-    for (std::size_t k = 0; k < schedule_.passes.size(); ++k) {
-      assemble(k == 0);
-      solve(schedule_.passes[k].iterations);
-      const Positions step = schedule_.passes[k].has_network() ? corrected(schedule_.passes[k]) : channels_['g'];
-      channels_['w'] = step;
-      z_ += step;
+    const Positions a = u[0] - 2 * u[1] + u[2], s = u[0] - x0;
+    z_ +=
+        guided(schedule_.start,
+               {w, a, s, x1 - 2 * x0 + u[5], u[0] - 3 * u[1] + 3 * u[2] - u[3], x0 - 2 * u[5] + u[6], means(w), means(a), means(s)},
+               [&](Index v) -> std::vector<double> { return {nearness(v), log_modulus(v), fullness(v)}; });
+    Positions last = Positions::Zero(z_.rows(), 3);
+    for (int k = 0; k < schedule_.most_passes; ++k) {
+      const NewtonPass& pass = schedule_.passes[std::min(static_cast<std::size_t>(k), schedule_.passes.size() - 1)];
+      assemble();
+      solve(pass.iterations);
+      if (pass.guide.empty()) {
+        last = g_;
+      } else {
+        last = guided(pass.guide, {g_, p_, l_, last, means(g_), means(l_)}, [&](Index v) -> std::vector<double> {
+          return {0.5 * std::log(diagonal(v).trace() / 3 / lumped_[v]), log_modulus(v), nearness(v), fullness(v)};
+        });
+      }
+      z_ += last;
     }
     Positions next = z_ * length_;
     for (Eigen::Index v = 0; v < next.rows(); ++v) {
       if (body_.constrained[v]) next.row(v) = reference.row(v);
     }
-    u_ = {next, u_[0], u_[1], reference, u_[3]};
+    u_ = {next, u_[0], u_[1], u_[2], reference, u_[4], u_[5]};
     return u_[0];
   }
 
@@ -166,21 +183,15 @@ class PlainNewton {
     return p;
   }
 
-  void assemble(bool first) {
+  void assemble() {
     const Eigen::Index n = z_.rows();
     gradient_ = masses_ * (z_ - y_);
     tangent_ = Eigen::MatrixXd::Zero(3 * n, 3 * n);
-    std::vector<Eigen::Matrix3d> means(static_cast<std::size_t>(n), Eigen::Matrix3d::Zero());
-    Vector volumes = Vector::Zero(n);
     for (Eigen::Index a = 0; a < n; ++a) {
       for (Eigen::Index b = 0; b < n; ++b) tangent_.block<3, 3>(3 * a, 3 * b) += masses_(a, b) * Eigen::Matrix3d::Identity();
     }
     for (const Tet& tet : tets_) {
       Eigen::Matrix3d f = edges_of(tet, z_) * tet.gradients.rightCols<3>().transpose();
-      for (const Index v : tet.corners) {
-        means[static_cast<std::size_t>(v)] += tet.volume * f;
-        volumes[v] += tet.volume;
-      }
       const Polar p = polar(f);
       f = p.u * p.stretches.cwiseMax(0.1).asDiagonal() * p.v.transpose();
       const Eigen::Matrix3d a = cofactors(f), one = Eigen::Matrix3d::Identity(), strain = 0.5 * (f.transpose() * f - one);
@@ -201,14 +212,6 @@ class PlainNewton {
         }
       }
     }
-    if (!first) return;
-    frames_.assign(static_cast<std::size_t>(n), {});
-    means_ = means;
-    for (const Index v : free_) {
-      means_[static_cast<std::size_t>(v)] /= volumes[v];
-      const Polar p = polar(means_[static_cast<std::size_t>(v)]);
-      frames_[static_cast<std::size_t>(v)] = p.u * p.v.transpose();
-    }
   }
 
   Eigen::Matrix3d diagonal(Index v) const { return tangent_.block<3, 3>(3 * v, 3 * v); }
@@ -225,6 +228,7 @@ class PlainNewton {
         matrix.block<3, 3>(3 * a, 3 * b) = tangent_.block<3, 3>(3 * v, 3 * free_[static_cast<std::size_t>(b)]);
       }
     }
+    for (Positions* channel : {&g_, &p_, &l_}) *channel = Positions::Zero(z_.rows(), 3);
     Vector x = Vector::Zero(3 * f), s = inverse * r, p = s;
     const Vector first = s;
     double square = r.dot(s);
@@ -241,74 +245,51 @@ class PlainNewton {
     }
     for (Eigen::Index a = 0; a < f; ++a) {
       const Index v = free_[static_cast<std::size_t>(a)];
-      channels_['g'].row(v) = x.segment<3>(3 * a).transpose();
-      channels_['p'].row(v) = first.segment<3>(3 * a).transpose();
-      channels_['l'].row(v) = s.segment<3>(3 * a).transpose();
+      g_.row(v) = x.segment<3>(3 * a).transpose();
+      p_.row(v) = first.segment<3>(3 * a).transpose();
+      l_.row(v) = s.segment<3>(3 * a).transpose();
     }
   }
 
-  static Vector tanh_layer(const DenseLayer& layer, const Vector& input) {
-    return (layer.weight.cast<double>() * input + layer.bias.cast<double>()).array().tanh().matrix();
+  double nearness(Index v) const { return 1.0 / (1.0 + hops_[static_cast<std::size_t>(v)]); }
+  double fullness(Index v) const { return static_cast<double>(near_[static_cast<std::size_t>(v)].size()) / 14 - 1; }
+  double log_modulus(Index v) const {
+    return 0.5 * std::log(body_.youngs_modulus[v] * body_.dt * body_.dt / (body_.density[v] * length_ * length_));
   }
 
-  static void put_six(Vector& to, Eigen::Index at, const Eigen::Matrix3d& m, double scale) {
-    const double six[] = {m(0, 0), m(1, 1), m(2, 2), m(0, 1), m(0, 2), m(1, 2)};
-    for (int k = 0; k < 6; ++k) to[at + k] = std::clamp(scale * six[k], -4.0, 4.0);
-  }
-
-  Positions corrected(const NewtonPass& pass) {
-    const auto c = static_cast<Eigen::Index>(pass.channels.size());
-    const auto square_of = [&](Index v) {
-      double sum = 0;
-      for (const char letter : pass.channels) sum += channels_[static_cast<std::size_t>(letter)].row(v).squaredNorm();
-      return sum;
-    };
-    const auto log_stiffness = [&](Index v) {
-      return body_.constrained[v] ? 0.0 : 0.5 * std::log(diagonal(v).trace() / 3 / lumped_[v]);
-    };
-    Positions steps = Positions::Zero(z_.rows(), 3);
-    for (const Index i : free_) {
-      const std::set<Index>& neighbours = near_[static_cast<std::size_t>(i)];
-      const Eigen::Matrix3d r = frames_[static_cast<std::size_t>(i)], back = r.transpose();
-      double square = square_of(i);
-      for (const Index j : neighbours) square += square_of(j);
-      const double sigma = std::sqrt(square / (1.0 + static_cast<double>(neighbours.size())) + 1e-18);
-      const auto vectors = [&](Vector& to, Index v) {
-        for (Eigen::Index k = 0; k < c; ++k) {
-          to.segment<3>(3 * k) =
-              back * channels_[static_cast<std::size_t>(pass.channels[static_cast<std::size_t>(k)])].row(v).transpose() / sigma;
-        }
-      };
-      Vector centre(3 * c + 17);
-      vectors(centre, i);
-      centre[3 * c] = 0.25 * std::clamp(std::log(sigma), -12.0, 3.0) + 0.75;
-      centre[3 * c + 1] = log_stiffness(i);
-      centre[3 * c + 2] = 0.5 * std::log(body_.youngs_modulus[i] * body_.dt * body_.dt / (body_.density[i] * length_ * length_));
-      const Eigen::Matrix3d one = Eigen::Matrix3d::Identity(), stretch = back * means_[static_cast<std::size_t>(i)];
-      put_six(centre, 3 * c + 3, 0.5 * (stretch + stretch.transpose()) - one, 2);
-      const Eigen::Matrix3d stiffness = back * diagonal(i) * r;
-      put_six(centre, 3 * c + 9, stiffness / (stiffness.trace() / 3) - one, 1);
-      centre[3 * c + 15] = lumped_[i];
-      centre[3 * c + 16] = static_cast<double>(neighbours.size()) / 12 - 1;
-      const Vector share = pass.centre.weight.cast<double>() * centre + pass.centre.bias.cast<double>();
-      Vector sum = Vector::Zero(pass.edge.back().weight.rows());
-      for (const Index j : neighbours) {
-        Vector edge(3 * c + 8);
-        vectors(edge, j);
-        const Eigen::Vector3d rest = (body_.rest_positions.row(j) - body_.rest_positions.row(i)).transpose() / length_;
-        edge.segment<3>(3 * c) = (back * (z_.row(j) - z_.row(i)).transpose() - rest).cwiseMax(-3).cwiseMin(3);
-        edge.segment<3>(3 * c + 3) = rest;
-        edge[3 * c + 6] = body_.constrained[j] ? 1 : 0;
-        edge[3 * c + 7] = log_stiffness(j);
-        Vector h = (pass.edge[0].weight.cast<double>() * edge + share).array().tanh().matrix();
-        for (std::size_t k = 1; k < pass.edge.size(); ++k) h = tanh_layer(pass.edge[k], h);
-        sum += h / 8;
+  // Means over the neighbours minus the vertex's own.
+  Positions means(const Positions& vectors) const {
+    Positions result = -vectors;
+    for (const Index v : free_) {
+      for (const Index other : near_[static_cast<std::size_t>(v)]) {
+        result.row(v) += vectors.row(other) / static_cast<double>(near_[static_cast<std::size_t>(v)].size());
       }
-      Vector h(sum.size() + centre.size());
-      h << sum, centre;
-      for (const DenseLayer& layer : pass.instance) h = tanh_layer(layer, h);
-      const Eigen::Vector3d out = pass.out.weight.cast<double>() * h + static_cast<double>(pass.skip) * centre.head<3>();
-      steps.row(i) = sigma * (r * out).transpose();
+    }
+    return result;
+  }
+
+  template <typename Scalars>
+  Positions guided(const Guide& guide, const std::vector<Positions>& vectors, const Scalars& scalars) const {
+    Positions steps = Positions::Zero(z_.rows(), 3);
+    for (const Index v : free_) {
+      double square = 1e-18;
+      for (const Positions& vector : vectors) square += vector.row(v).squaredNorm();
+      std::vector<double> inputs;
+      for (std::size_t a = 0; a < vectors.size(); ++a) {
+        for (std::size_t b = a; b < vectors.size(); ++b) {
+          const double product = vectors[a].row(v).dot(vectors[b].row(v));
+          const double root = std::sqrt(std::abs(product) / square + 1e-9);
+          inputs.push_back(product > 0 ? root : product < 0 ? -root : 0.0);
+        }
+      }
+      inputs.push_back(0.125 * std::clamp(std::log(square), -24.0, 6.0) + 0.75);
+      for (const double scalar : scalars(v)) inputs.push_back(scalar);
+      Vector h = Eigen::Map<const Vector>(inputs.data(), static_cast<Eigen::Index>(inputs.size()));
+      for (std::size_t k = 0; k < guide.size(); ++k) {
+        h = guide[k].weight.cast<double>() * h + guide[k].bias.cast<double>();
+        if (k + 1 < guide.size()) h = h.array().tanh().matrix();
+      }
+      for (std::size_t k = 0; k < vectors.size(); ++k) steps.row(v) += h[static_cast<Eigen::Index>(k)] * vectors[k].row(v);
     }
     return steps;
   }
@@ -321,9 +302,9 @@ class PlainNewton {
   Vector lumped_;
   std::vector<std::set<Index>> near_;
   std::vector<Index> free_;
-  std::vector<Eigen::Matrix3d> frames_, means_;
-  std::vector<Positions> u_, channels_;
-  Positions y_, z_, gradient_;
+  std::vector<int> hops_;
+  std::vector<Positions> u_;  // u(t) to u(t-3), x(t) to x(t-2)
+  Positions y_, z_, gradient_, g_, p_, l_;
 };
 
 }  // namespace followthrough

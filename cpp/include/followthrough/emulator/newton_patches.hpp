@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
 /// What the guides of a frame see (patch_newton.hpp): the backward Euler problem at an estimate of u(t+1), a truncated Newton
-/// direction, and vectors and numbers of each free vertex. Training drives it a pass at a time; PatchNewton does the same in one go.
+/// direction, and vectors and numbers of each free vertex. Training drives it a pass at a time; PatchNewton does the same in one
+/// go.
 ///
 /// Lengths are in edges L, times in frames h, masses in rho L^3 with rho the mean density, so that a tet's modulus is
 /// s = E h^2 / (rho L^2). The elastic energy is material.hpp's: St. Venant-Kirchhoff, compression resistance, stretches clamped at
@@ -22,8 +23,8 @@
 ///   and of g, l the mean over the neighbours minus the vertex's own
 /// Constrained neighbours have w = x(t+1) - y and g = l = 0. Numbers: log(sum of the vectors' squares) / 8 + 0.75, the logarithm
 /// between -24 and 6; in a pass half of log(trace(D) / 3 / m), D being the tangent's diagonal block and m the lumped mass; half of
-/// log(s) at the vertex and 1 / (1 + n), n tets being between it and the nearest constrained vertex, 20 at most (at the start in the
-/// other order); number of neighbours / 14 - 1.
+/// log(s) at the vertex and 1 / (1 + n), n tets being between it and the nearest constrained vertex, 20 at most (at the start in
+/// the other order); number of neighbours / 14 - 1.
 #pragma once
 
 #include <array>

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
-/// Dynamics by truncated Newton steps that small networks guide. A frame is backward Euler's (newton_patches.hpp). A guide makes its
-/// first estimate of the last frames; then come a few passes, each a direction by a few iterations of conjugate gradients and a guide
-/// that makes the step of it. Passes end as soon as little is left to do. A pass without a guide steps along the direction.
+/// Dynamics by truncated Newton steps that small networks guide. A frame is backward Euler's (newton_patches.hpp). A guide makes
+/// its first estimate of the last frames; then come a few passes, each a direction by a few iterations of conjugate gradients and a
+/// guide that makes the step of it. Passes end as soon as little is left to do. A pass without a guide steps along the direction.
 ///
 /// A guide is a perceptron at every free vertex. It makes the coefficients of a weighted sum of the vectors of newton_patches.hpp,
-/// from their products (the signed root of |v_a . v_b| over the sum of the vectors' squares, plus 1e-9 where that is not zero) and a
-/// few numbers. So what is moved or turned as a whole moves and turns the same, and what is at rest stays there.
+/// from their products (the signed root of |v_a . v_b| over the sum of the vectors' squares, plus 1e-9 where that is not zero) and
+/// a few numbers. So what is moved or turned as a whole moves and turns the same, and what is at rest stays there.
 #pragma once
 
 #include <memory>
