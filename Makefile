@@ -10,9 +10,10 @@ CMAKE := $(VENV)/bin/cmake
 SOURCES := $(shell find cpp/include cpp/src cpp/bindings cmake python -type f -not -name '*.so' -not -path '*/__pycache__/*') CMakeLists.txt pyproject.toml README.md
 CPP_FILES := $(shell find cpp tests/cpp examples/cpp -name '*.cpp' -o -name '*.hpp')
 DEMO_OUTPUT ?= demo-output
+TRAINING_DATA ?= training-data
 BENCH_ARGS ?=
 
-.PHONY: help setup demo test test-cpp test-python test-slow test-blender test-blender-versions test-training bench bench-bake lint format types tidy sanitize extension wheel clean
+.PHONY: weights bench-emulator help setup demo test test-cpp test-python test-slow test-blender test-blender-versions test-training bench bench-bake bench-springs lint format types tidy sanitize extension wheel clean
 
 help: ## List the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 24
@@ -69,6 +70,17 @@ $(TRAINING_VENV)/.installed: $(TRAINING_VENV)/.tools $(SOURCES)
 test-training: $(TRAINING_VENV)/.installed ## The tests that need PyTorch, in a virtual environment of its own (.venv-training)
 	@$(TRAINING_VENV)/bin/python -m pytest tests/training
 
+weights: setup $(TRAINING_VENV)/.installed ## Make the emulator's weights again from nothing: data (10 minutes of one core), training (8 minutes)
+	@mkdir -p $(TRAINING_DATA)
+	@$(VENV)/bin/followthrough dataset shapes --motions 240 --frames 90 --seed 2 --stiffness-range 0.7 4 -o $(TRAINING_DATA)/soft
+	@$(VENV)/bin/followthrough dataset shapes --motions 160 --frames 90 --seed 1 -o $(TRAINING_DATA)/wide
+	@OMP_NUM_THREADS=1 $(TRAINING_VENV)/bin/followthrough train $(TRAINING_DATA)/soft $(TRAINING_DATA)/wide -o $(TRAINING_DATA)/emulator.npz
+	@mkdir -p python/followthrough/weights && cp $(TRAINING_DATA)/emulator.npz python/followthrough/weights/emulator.npz
+
+bench-emulator: setup ## Errors and times of the emulator and of what could take its place, on dances that it has not seen
+	@$(VENV)/bin/followthrough dataset held-out --motions 2 -o $(TRAINING_DATA)/held-out
+	@OMP_NUM_THREADS=1 $(PY) cpp/bench/emulator_scores.py $(TRAINING_DATA)/held-out --pattern 'test-*'
+
 bench: setup ## Benchmarks of the core beside memory copy speed, and of the bake beside stepping the frames
 	@bash tools/apt_require.sh libbenchmark-dev
 	@$(CMAKE) -S . -B build/bench -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(VENV)/bin/ninja -DPython_EXECUTABLE=$(CURDIR)/$(PY) \
@@ -76,7 +88,10 @@ bench: setup ## Benchmarks of the core beside memory copy speed, and of the bake
 	@$(CMAKE) --build build/bench
 	@build/bench/followthrough_bench --benchmark_repetitions=5 --benchmark_enable_random_interleaving=true \
 	  --benchmark_report_aggregates_only=true $(BENCH_ARGS)
-	@$(MAKE) --no-print-directory bench-bake
+	@$(MAKE) --no-print-directory bench-bake bench-springs
+
+bench-springs: setup ## Learning 14,000 springs beside a straight Python implementation
+	@$(PY) cpp/bench/spring_fit_time.py
 
 bench-bake: setup ## Bake time over the time of merely stepping the same frames in Blender
 	@$(PY) tools/require_bpy.py
@@ -117,4 +132,4 @@ wheel: $(VENV)/.tools ## Build this Python's wheel in dist/
 	@wheel=$$($(PY) tools/built_wheel.py) && mkdir -p dist && cp "$$wheel" dist/
 
 clean: ## Remove everything that was built
-	rm -rf build dist $(VENV) $(TRAINING_VENV) .venv-bpy* $(DEMO_OUTPUT) python/followthrough/*.so
+	rm -rf build dist $(VENV) $(TRAINING_VENV) .venv-bpy* $(DEMO_OUTPUT) $(TRAINING_DATA) python/followthrough/*.so

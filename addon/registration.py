@@ -3,9 +3,9 @@
 
 import bpy
 
-from . import bake, painting, properties, ui
+from . import bake, learning, painting, properties, ui
 
-_classes: tuple[type, ...] = (*properties.classes, *painting.classes, *bake.classes, *ui.classes)
+_classes: tuple[type, ...] = (*properties.classes, *painting.classes, *bake.classes, *learning.classes, *ui.classes)
 
 
 def register() -> None:
@@ -25,6 +25,7 @@ def register() -> None:
 def unregister() -> None:
     """Take all of it back. What objects had set stays in the file as it is, and is there again when the add-on is."""
     bake.stop()
+    learning.stop_drawing()
     del bpy.types.Object.followthrough
     for cls in reversed(_classes):
         bpy.utils.unregister_class(cls)

@@ -10,7 +10,7 @@ from followthrough.settings import Settings, SpringSettings
 
 source, name, target = sys.argv[1:]
 bpy.ops.wm.open_mainfile(filepath=source)
-soft = Settings(springs=SpringSettings(stiffness_range=(100.0, 2000.0), damping_ratio=0.2))
+soft = Settings(solver="springs", springs=SpringSettings(stiffness_range=(100.0, 2000.0), damping_ratio=0.2))
 bake = blender.Bake(bpy.context.scene, {name: blender.ObjectSettings(motion=soft)}, blender.FrameRange(preroll=12))
 for progress in bake.run():
     print(f"frame {progress.frame}: {progress.done} of {progress.total}")

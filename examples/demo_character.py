@@ -26,7 +26,9 @@ NAME = "Bumble"
 
 #: How soft it is: where it is painted softest it swings 2.5 times a second, where stiffest 8 times.
 MOTION = Settings(
-    volume=VolumeSettings(cells=32), springs=SpringSettings(stiffness_range=(250.0, 2500.0), damping_ratio=0.25)
+    solver="springs",
+    volume=VolumeSettings(cells=32),
+    springs=SpringSettings(stiffness_range=(250.0, 2500.0), damping_ratio=0.25),
 )
 
 #: What plays in the demo: action, first frame, repetitions, frames to blend in.

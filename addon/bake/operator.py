@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bake Followthrough: in a window a little at a time, so that Blender stays alive; from scripts all at once."""
 
+import math
 import time
+from typing import Any
 
 import bpy
 from bpy.types import Operator
@@ -21,40 +23,22 @@ _VIEW_EVENTS = {"MIDDLEMOUSE", "MOUSEMOVE", "TRACKPADPAN", "TRACKPADZOOM", "MOUS
 _WHEEL_EVENTS = {"WHEELUPMOUSE", "WHEELDOWNMOUSE"}
 
 
-class FOLLOWTHROUGH_OT_bake(Operator):
-    bl_idname = "followthrough.bake"
-    bl_label = "Bake Followthrough"
-    bl_description = (
-        "Simulate the secondary motion of the selected characters and write it to shape keys, one a frame. "
-        "An earlier bake is replaced; other shape keys and animation are not touched"
-    )
-    bl_options = {"REGISTER", "UNDO"}
+class StepwiseOperator:
+    """What bakes and what learns from a simulation have in common: stepping through frames, from scripts or in a window."""
+
+    doing = "Baking Followthrough"
+    cancelled = "Bake cancelled, nothing was changed"
 
     _bake: BakeSession | None = None
     _timer: bpy.types.Timer | None = None
     _slice_ended: float | None = None
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not idle(cls):
-            return False
-        characters = selected_characters(context)
-        if not characters:
-            cls.poll_message_set("Add Followthrough to a mesh first")
-            return False
-        reason = why_not_bakeable(characters[0])
-        if reason is not None:
-            cls.poll_message_set(reason)
-            return False
-        return True
-
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Bake at once, for scripts and without a window."""
         try:
             bake = self._begin(context)
-            while not bake.advance(TIME_SLICE):
-                pass
-            self._report(bake.finish())
+            bake.advance(math.inf)
+            self._report(bake.finish(), bake.notes())
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -71,7 +55,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
         manager = context.window_manager
         self._timer = manager.event_timer_add(0.01, window=context.window)
         manager.modal_handler_add(self)
-        context.workspace.status_text_set("Baking Followthrough    Esc: Cancel")
+        context.workspace.status_text_set(f"{self.doing}    Esc: Cancel")
         _redraw_sidebars(context)
         return {"RUNNING_MODAL"}
 
@@ -83,7 +67,8 @@ class FOLLOWTHROUGH_OT_bake(Operator):
             return {"CANCELLED"}
         if event.type == "ESC" and event.value == "PRESS":
             self.cancel(context)
-            self.report({"INFO"}, "Bake cancelled, nothing was changed")
+            kept = f"; it can be resumed from frame {bake.saved_frame}" if bake.saved_frame is not None else ""
+            self.report({"INFO"}, f"{self.cancelled}{kept}")
             return {"CANCELLED"}
         if event.type == "TIMER":
             return self._tick(context, bake)
@@ -95,13 +80,6 @@ class FOLLOWTHROUGH_OT_bake(Operator):
         if self._bake is not None:
             self._bake.cancel()
         self._leave(context)
-
-    def _begin(self, context: bpy.types.Context) -> BakeSession:
-        characters = selected_characters(context)
-        if not characters:
-            raise ValueError("Add Followthrough to a mesh first")
-        settings = {obj.name: object_settings(obj) for obj in characters}
-        return BakeSession(context.scene, settings, frame_range(characters[0]))
 
     def _tick(self, context: bpy.types.Context, bake: BakeSession) -> set[str]:
         try:
@@ -119,7 +97,7 @@ class FOLLOWTHROUGH_OT_bake(Operator):
             self._leave(context)
             raise
         self._leave(context)
-        self._report(report)
+        self._report(report, bake.notes())
         return {"FINISHED"}
 
     def _time_slice(self) -> float:
@@ -135,10 +113,49 @@ class FOLLOWTHROUGH_OT_bake(Operator):
             context.workspace.status_text_set(None)
         _redraw_sidebars(context)
 
-    def _report(self, report: BakeReport) -> None:
+    def _begin(self, context: bpy.types.Context) -> BakeSession:
+        raise NotImplementedError
+
+    def _report(self, report: Any, notes: tuple[str, ...]) -> None:
+        raise NotImplementedError
+
+
+class FOLLOWTHROUGH_OT_bake(StepwiseOperator, Operator):
+    bl_idname = "followthrough.bake"
+    bl_label = "Bake Followthrough"
+    bl_description = (
+        "Simulate the secondary motion of the selected characters and write it to shape keys, one a frame, or a point cache. "
+        "An earlier bake is replaced; other shape keys and animation are not touched"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not idle(cls):
+            return False
+        characters = selected_characters(context)
+        if not characters:
+            cls.poll_message_set("Add Followthrough to a mesh first")
+            return False
+        reason = why_not_bakeable(characters[0], characters[0].followthrough.output)
+        if reason is not None:
+            cls.poll_message_set(reason)
+            return False
+        return True
+
+    def _begin(self, context: bpy.types.Context) -> BakeSession:
+        characters = selected_characters(context)
+        if not characters:
+            raise ValueError("Add Followthrough to a mesh first")
+        settings = {obj.name: object_settings(obj) for obj in characters}
+        return BakeSession(context.scene, settings, frame_range(characters[0]))
+
+    def _report(self, report: BakeReport, notes: tuple[str, ...]) -> None:
         frames = report.end - report.start + 1
         names = ", ".join(baked.name for baked in report.objects)
         self.report({"INFO"}, f"Baked {frames} frames of {names} in {report.seconds:.1f} s")
+        for note in notes:
+            self.report({"INFO"}, note)
         for baked in report.objects:
             for warning in baked.warnings:
                 self.report({"WARNING"}, warning)

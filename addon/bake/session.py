@@ -2,11 +2,19 @@
 """The bake that is running, if one is: the operator drives it, the panel shows how far it is."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 import bpy
 
-from followthrough.blender import Bake, BakeReport, FrameRange, ObjectSettings
+from followthrough.blender import (
+    Bake,
+    BakeCache,
+    FrameRange,
+    ObjectSettings,
+    cache_folder,
+    resumable_frame,
+)
 
 #: Seconds after which a frame that is still being simulated lets go of Blender's thread.
 PATIENCE = 0.05
@@ -33,6 +41,22 @@ def stop() -> None:
         _running.cancel()
 
 
+def resumable(
+    scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange | None = None
+) -> int | None:
+    """The frame at which a bake of these objects would go on where an earlier one was stopped; None where none was."""
+    return resumable_frame(cache_folder(), scene, objects, frames or FrameRange())
+
+
+def discard(scene: bpy.types.Scene, names: Iterable[str]) -> None:
+    """Delete what a stopped bake of these objects has left."""
+    BakeCache(cache_folder(), scene.name, names).remove()
+
+
+def _resumable_bake(scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange | None) -> Bake:
+    return Bake(scene, objects, frames, cache_folder())
+
+
 class BakeSession:
     """A bake that can be advanced a little at a time.
 
@@ -40,6 +64,10 @@ class BakeSession:
     ----------
     scene, objects, frames
         As in `followthrough.blender.Bake`.
+    make
+        What is run, something that is driven as a bake; None: a bake that goes on where an earlier one was stopped.
+    doing, finishing
+        What the status line calls a step, and the end.
 
     Raises
     ------
@@ -48,12 +76,19 @@ class BakeSession:
     """
 
     def __init__(
-        self, scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange | None = None
+        self,
+        scene: bpy.types.Scene,
+        objects: Mapping[str, ObjectSettings],
+        frames: FrameRange | None = None,
+        make: Callable[[bpy.types.Scene, Mapping[str, ObjectSettings], FrameRange | None], Bake] | None = None,
+        doing: str = "Baking frame",
+        finishing: str = "Writing shape keys",
     ) -> None:
         global _running
         if _running is not None:
             raise ValueError("Another bake is under way")
-        self._bake = Bake(scene, objects, frames)
+        self._bake = (make or _resumable_bake)(scene, objects, frames)
+        self._words = (doing, finishing)
         self._steps = self._bake.run(patience=PATIENCE)
         self._simulating_since = time.monotonic()
         self.object_names = tuple(objects)
@@ -84,6 +119,7 @@ class BakeSession:
             for progress in self._steps:
                 self.done = progress.done
                 if time.monotonic() >= until:
+                    self._bake.show()
                     return False
         except BaseException:
             self.cancel()
@@ -91,8 +127,26 @@ class BakeSession:
         self.is_simulated = True
         return True
 
-    def finish(self) -> BakeReport:
-        """Write the shape keys; the bake is then over."""
+    @property
+    def saved_frame(self) -> int | None:
+        """The frame at which another bake would go on if this one were stopped now."""
+        return self._bake.recovery.saved_frame
+
+    def notes(self) -> tuple[str, ...]:
+        """What an artist should know about going on from an earlier bake."""
+        recovery, notes = self._bake.recovery, []
+        if recovery.resumed_from is not None:
+            notes.append(f"Resumed from frame {recovery.resumed_from}")
+        if recovery.has_begun_anew:
+            notes.append(
+                "The mesh, its animation, its paint or what it has learned has changed since the bake was stopped: begun anew"
+            )
+        if recovery.problem is not None:
+            notes.append(f"A stopped bake could not be resumed: {recovery.problem}")
+        return tuple(notes)
+
+    def finish(self) -> Any:
+        """Write what was made, which is then over; the report of it."""
         try:
             report = self._bake.finish()
         except BaseException:
@@ -120,10 +174,10 @@ class BakeSession:
     def status(self) -> str:
         """How far it is, for the panel."""
         if self.is_simulated:
-            return "Writing shape keys"
+            return self._words[1]
         frame = min(self.done + 1, self.total)
         left = self.seconds_left()
         if left is None:
-            return f"Baking frame {frame} of {self.total}"
+            return f"{self._words[0]} {frame} of {self.total}"
         minutes, seconds = divmod(round(left), 60)
-        return f"Baking frame {frame} of {self.total}, {minutes}:{seconds:02d} left"
+        return f"{self._words[0]} {frame} of {self.total}, {minutes}:{seconds:02d} left"

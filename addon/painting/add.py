@@ -5,8 +5,12 @@ import bpy
 from bpy.types import Operator
 
 from followthrough.blender import PINS_GROUP, add_groups, why_not_bakeable
+from followthrough.settings import default_solver
 
 from ..characters import active_mesh
+
+#: Frames that springs are learned from, unless others are chosen.
+LEARNED_FRAMES = 96
 
 
 class FOLLOWTHROUGH_OT_add(Operator):
@@ -30,13 +34,13 @@ class FOLLOWTHROUGH_OT_add(Operator):
         obj = active_mesh(context)
         if obj is None:
             return {"CANCELLED"}
-        if reason := why_not_bakeable(obj):
+        if reason := why_not_bakeable(obj, obj.followthrough.output):
             self.report({"ERROR"}, reason)
             return {"CANCELLED"}
         previous = obj.vertex_groups.active
         previous_name = previous.name if previous is not None else ""
         try:
-            created = add_groups(obj)
+            created = add_groups(obj) if obj.data.library is None else []
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -44,9 +48,17 @@ class FOLLOWTHROUGH_OT_add(Operator):
         settings.previous_group = previous_name
         for name in created:
             settings.made_groups.add().name = name
-        if PINS_GROUP not in settings.pin_groups:
+        if PINS_GROUP not in settings.pin_groups and PINS_GROUP in obj.vertex_groups:
             settings.pin_groups.add().name = PINS_GROUP
+        settings.solver = default_solver()  # said, so that the file keeps it
         settings.frame_start, settings.frame_end = context.scene.frame_start, context.scene.frame_end
+        settings.learn_start = context.scene.frame_start
+        settings.learn_end = min(context.scene.frame_end, context.scene.frame_start + LEARNED_FRAMES - 1)
         settings.is_added = True
-        self.report({"INFO"}, f"Created {', '.join(created)}" if created else "The mesh has its groups already")
+        if obj.data.library is not None:
+            self.report(
+                {"INFO"}, "The mesh is linked: it is baked as it is painted in its own file, or with suggested values"
+            )
+        else:
+            self.report({"INFO"}, f"Created {', '.join(created)}" if created else "The mesh has its groups already")
         return {"FINISHED"}

@@ -4,18 +4,19 @@
 import bpy
 from bpy.types import Operator
 
-from followthrough.blender import clear, remove_groups
+from followthrough.blender import clear, remove_groups, remove_learned
 
 from ..bake.session import idle
 from ..characters import selected_characters
+from ..learning import heat_map
 
 
 class FOLLOWTHROUGH_OT_remove(Operator):
     bl_idname = "followthrough.remove"
     bl_label = "Remove Followthrough"
     bl_description = (
-        "Take Followthrough off the selected characters: the bake, the vertex groups that it made with what is painted "
-        "on them, and the settings. Everything else stays"
+        "Take Followthrough off the selected characters: the bake, what was learned, the vertex groups that it made with what "
+        "is painted on them, and the settings. Everything else stays"
     )
     bl_options = {"REGISTER", "UNDO"}
 
@@ -43,7 +44,10 @@ def remove(context: bpy.types.Context, name: str) -> None:
     painted = obj.vertex_groups.active
     if obj.mode == "WEIGHT_PAINT" and obj == context.object and painted is not None and painted.name in made:
         bpy.ops.object.mode_set(mode="OBJECT")
-    if obj.data.library is None:
+    if obj.library is None:
         clear(obj)
+    if obj.data.library is None:
+        heat_map.hide(obj)
+        remove_learned(obj)
         remove_groups(obj, made, obj.followthrough.previous_group)
     obj.property_unset("followthrough")

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """From what the artist set to what the library's bake takes."""
 
+from pathlib import Path
+
 import bpy
 
 from followthrough.blender import FrameRange, ObjectSettings, PaintGroups, PinGroup, action_frames
-from followthrough.settings import Settings, SimulationSettings, SpringSettings, VolumeSettings
+from followthrough.settings import EmulatorSettings, Settings, SimulationSettings, SpringSettings, VolumeSettings
 
 from .settings import EARTH, KILO, stiffness_from_frequency
 
@@ -28,6 +30,8 @@ def object_settings(obj: bpy.types.Object) -> ObjectSettings:
                     stiffness_from_frequency(settings.frequency_stiff),
                 ),
                 damping_ratio=settings.damping_ratio,
+                gravity=EARTH * settings.gravity,
+                use_learned=settings.use_learned,
             ),
             simulation=SimulationSettings(
                 youngs_modulus_range=(KILO * settings.modulus_soft, KILO * settings.modulus_stiff),
@@ -35,8 +39,19 @@ def object_settings(obj: bpy.types.Object) -> ObjectSettings:
                 gravity=EARTH * settings.gravity,
                 quality=settings.quality,
             ),
+            emulator=EmulatorSettings(
+                weights=Path(bpy.path.abspath(settings.weights)) if settings.weights else None,
+                corrections=settings.corrections,
+            ),
+            amplitude=settings.amplitude,
         ),
-        groups=PaintGroups(pins=tuple(PinGroup(pin.name, pin.strength) for pin in settings.pin_groups)),
+        groups=PaintGroups(
+            # A linked mesh is baked as it is painted in its own file.
+            pins=None
+            if obj.data.library is not None and not settings.pin_groups
+            else tuple(PinGroup(pin.name, pin.strength) for pin in settings.pin_groups)
+        ),
+        output=settings.output,
     )
 
 

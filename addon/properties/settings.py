@@ -16,15 +16,22 @@ from bpy.props import (
 )
 from bpy.types import PropertyGroup
 
-from followthrough.settings import SimulationSettings, SpringSettings, VolumeSettings
+from followthrough.settings import EmulatorSettings, SimulationSettings, SpringSettings, VolumeSettings
 
 _SPRINGS = SpringSettings()
 _VOLUME = VolumeSettings()
 
 _SIMULATION = SimulationSettings()
+_EMULATOR = EmulatorSettings()
 
 #: Blender knows hertz since 4.5; before that the name says the unit.
 _KNOWS_HERTZ = "FREQUENCY" in bpy.types.Property.bl_rna.properties["unit"].enum_items
+#: So does it whether a path may start at the .blend file's folder.
+_RELATIVE_PATHS = (
+    {"PATH_SUPPORTS_BLEND_RELATIVE"}
+    if "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties
+    else set()
+)
 #: From kilopascals to pascals.
 KILO = 1000.0
 #: Gravity on earth, m/s².
@@ -60,6 +67,7 @@ def _kept_in_order(low: str, high: str) -> tuple[_Update, _Update]:
 _raise_stiff_frequency, _lower_soft_frequency = _kept_in_order("frequency_soft", "frequency_stiff")
 _raise_stiff_modulus, _lower_soft_modulus = _kept_in_order("modulus_soft", "modulus_stiff")
 _raise_last_frame, _lower_first_frame = _kept_in_order("frame_start", "frame_end")
+_raise_last_learned, _lower_first_learned = _kept_in_order("learn_start", "learn_end")
 
 
 def _frequency(name: str, description: str, stiffness: float, update: _Update) -> Any:
@@ -174,8 +182,15 @@ class FollowthroughSettings(PropertyGroup):
         name="Solver",
         description="What makes the flesh move",
         items=(
-            ("springs", "Springs", "Every bit of flesh swings on a spring of its own: instant, always stable"),
-            ("implicit-euler", "Simulation", "Elastic flesh that pulls on its neighbours and keeps its volume: slower"),
+            # Files know them by number, and those of before the emulator left the default unsaid.
+            ("springs", "Springs", "Every bit of flesh swings on a spring of its own: instant, always stable", 0),
+            ("emulator", "Emulator", "A network that has learned the simulation: nearly its motion, in less time", 2),
+            (
+                "implicit-euler",
+                "Simulation",
+                "Elastic flesh that pulls on its neighbours and keeps its volume: slower",
+                1,
+            ),
         ),
         default="springs",
     )
@@ -238,6 +253,33 @@ class FollowthroughSettings(PropertyGroup):
         default=_SIMULATION.quality,
     )
 
+    corrections: IntProperty(  # type: ignore[valid-type]
+        name="Corrections",
+        description=(
+            "How often the simulation improves each frame that the emulator has predicted, at most: more is more exact and slower"
+        ),
+        default=_EMULATOR.corrections,
+        min=0,
+        soft_max=3,
+        max=100,
+    )
+    weights: StringProperty(  # type: ignore[valid-type]
+        name="Weights",
+        description="File of the emulator's trained weights; where it is empty, those that come with Followthrough",
+        subtype="FILE_PATH",
+        options=_RELATIVE_PATHS,
+    )
+    amplitude: FloatProperty(  # type: ignore[valid-type]
+        name="Amplitude",
+        description="How far the motion goes, at the same timing: 0 is the armature alone, 1 what the solver says",
+        default=1.0,
+        min=0.0,
+        max=100.0,
+        soft_max=2.0,
+        step=1,
+        precision=2,
+    )
+
     cells: IntProperty(  # type: ignore[valid-type]
         name="Cells",
         description=(
@@ -254,6 +296,25 @@ class FollowthroughSettings(PropertyGroup):
         name="Split Parts",
         description="Keep parts of the body apart that merely come near each other, such as thighs, fingers and lips",
         default=_VOLUME.split_parts,
+    )
+
+    output: EnumProperty(  # type: ignore[valid-type]
+        name="Output",
+        description="What is written",
+        items=(
+            ("keys", "Shape Keys", "A shape key a frame on the mesh; plays in any Blender without another file"),
+            (
+                "absolute",
+                "Absolute Shape Keys",
+                "Shape keys in a row that one curve, of the evaluation time, runs through; for a mesh without other shape keys",
+            ),
+            (
+                "pc2",
+                "Point Cache (PC2)",
+                "A .pc2 file beside the .blend, and a Mesh Cache modifier that plays it. The mesh may be linked from another file",
+            ),
+        ),
+        default="keys",
     )
 
     frame_range: EnumProperty(  # type: ignore[valid-type]
@@ -291,4 +352,26 @@ class FollowthroughSettings(PropertyGroup):
         min=1,
         soft_max=10,
         max=100,
+    )
+
+    learn_start: IntProperty(  # type: ignore[valid-type]
+        name="First Frame",
+        description="First frame that springs are learned from; the simulation starts at rest there",
+        default=1,
+        min=-1048574,
+        max=1048574,
+        update=_raise_last_learned,
+    )
+    learn_end: IntProperty(  # type: ignore[valid-type]
+        name="Last Frame",
+        description="Last frame that springs are learned from; a hundred lively frames are enough",
+        default=96,
+        min=-1048574,
+        max=1048574,
+        update=_lower_first_learned,
+    )
+    use_learned: BoolProperty(  # type: ignore[valid-type]
+        name="Use Learned",
+        description="Swing on the springs that were learned, where there are any; the frequencies, damping and paint scale them",
+        default=True,
     )

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The Followthrough tab in the sidebar of the 3D viewport."""
 
+from .learning_panel import FOLLOWTHROUGH_PT_learning
 from .lists import FOLLOWTHROUGH_UL_pin_groups
 from .main_panel import FOLLOWTHROUGH_PT_main
 from .menus import FOLLOWTHROUGH_MT_presets
@@ -17,6 +18,7 @@ classes: tuple[type, ...] = (
     FOLLOWTHROUGH_PT_main,
     FOLLOWTHROUGH_PT_paint,
     FOLLOWTHROUGH_PT_motion,
+    FOLLOWTHROUGH_PT_learning,
     FOLLOWTHROUGH_PT_frames,
     FOLLOWTHROUGH_PT_volume,
 )

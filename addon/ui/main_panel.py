@@ -6,16 +6,18 @@ import textwrap
 import bpy
 from bpy.types import Panel
 
-from followthrough.blender import baked_range, why_not_bakeable
+from followthrough.blender import OUTPUTS, baked_range, why_not_bakeable
 
+from ..bake.cautions import FOLLOWTHROUGH_OT_use_simulation, caution_about
 from ..bake.clear import FOLLOWTHROUGH_OT_clear
+from ..bake.discard import FOLLOWTHROUGH_OT_discard_stopped_bake
 from ..bake.operator import FOLLOWTHROUGH_OT_bake
-from ..bake.session import BakeSession, running
+from ..bake.session import BakeSession, resumable, running
 from ..characters import active_character, active_mesh, meshes_of_armature, selected_characters
 from ..painting.add import FOLLOWTHROUGH_OT_add
 from ..painting.paint import FOLLOWTHROUGH_OT_select_character
 from ..painting.remove import FOLLOWTHROUGH_OT_remove
-from ..properties.bake_settings import frame_range
+from ..properties.bake_settings import frame_range, object_settings
 
 
 class FollowthroughPanel:
@@ -43,8 +45,10 @@ class FOLLOWTHROUGH_PT_main(FollowthroughPanel, Panel):
         if obj is None:
             draw_choice_of_mesh(layout, context)
             return
-        if reason := why_not_bakeable(obj):
+        if reason := why_not_bakeable(obj, obj.followthrough.output):
             draw_text(layout, context, reason, icon="ERROR")
+            if any(why_not_bakeable(obj, output) is None for output in OUTPUTS):
+                layout.prop(obj.followthrough, "output", text="")
         elif not obj.followthrough.is_added:
             row = layout.row()
             row.scale_y = 1.4
@@ -86,12 +90,29 @@ def draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         return
     start = scene.frame_start if frames.start is None else frames.start
     end = scene.frame_end if frames.end is None else frames.end
+    draw_cautions(layout, context, characters)
     text = f"Bake {end - start + 1} Frames"
     if len(characters) > 1:
         text += f" of {len(characters)} Meshes"
-    row = layout.row()
+    row = layout.row(align=True)
     row.scale_y = 1.4
+    stopped = resumable(scene, {obj.name: object_settings(obj) for obj in characters}, frames)
+    if stopped is not None:
+        text = f"Resume Baking from Frame {stopped}"
     row.operator(FOLLOWTHROUGH_OT_bake.bl_idname, text=text, icon="PHYSICS")
+    if stopped is not None:
+        row.operator(FOLLOWTHROUGH_OT_discard_stopped_bake.bl_idname, text="", icon="X")
+
+
+def draw_cautions(layout: bpy.types.UILayout, context: bpy.types.Context, characters: list[bpy.types.Object]) -> None:
+    """What the emulator has not learned, and the simulation, which can do it, a click away."""
+    texts = [(obj.name, caution_about(obj, context.scene)) for obj in characters]
+    told = [f"{name}: {text}" if len(characters) > 1 else text for name, text in texts if text]
+    if told:
+        box = layout.box()
+        for text in told:
+            draw_text(box, context, text, icon="ERROR")
+        box.operator(FOLLOWTHROUGH_OT_use_simulation.bl_idname, icon="PHYSICS")
 
 
 def draw_baked(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:

@@ -21,7 +21,7 @@ from .menus import FOLLOWTHROUGH_MT_presets
 _PAINT_BUTTONS = (("STIFFNESS", "Stiffness"), ("MASS", "Mass"), ("PINS", "Pins"))
 
 
-class _CharacterPanel(FollowthroughPanel):
+class CharacterPanel(FollowthroughPanel):
     """A sub-panel that is there for characters only, and out of reach while a bake runs."""
 
     bl_parent_id = "FOLLOWTHROUGH_PT_main"
@@ -38,7 +38,7 @@ class _CharacterPanel(FollowthroughPanel):
         return layout, active_character(context)
 
 
-class FOLLOWTHROUGH_PT_paint(_CharacterPanel, Panel):
+class FOLLOWTHROUGH_PT_paint(CharacterPanel, Panel):
     bl_label = "Paint"
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -71,25 +71,31 @@ class FOLLOWTHROUGH_PT_paint(_CharacterPanel, Panel):
             layout.prop_search(pin, "name", obj, "vertex_groups", text="")
 
 
-class FOLLOWTHROUGH_PT_motion(_CharacterPanel, Panel):
+class FOLLOWTHROUGH_PT_motion(CharacterPanel, Panel):
     bl_label = "Motion"
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, obj = self.character_layout(context)
         settings = obj.followthrough
-        layout.row().prop(settings, "solver", expand=True)
+        row = layout.row()
+        row.use_property_split = False  # beside a label, a narrow sidebar would cut the names short
+        row.prop(settings, "solver", expand=True)
         layout.menu(FOLLOWTHROUGH_MT_presets.__name__, icon="PRESET")
         simulated = settings.solver != "springs"
         column = layout.column(align=True)
         for name in ("modulus_soft", "modulus_stiff") if simulated else ("frequency_soft", "frequency_stiff"):
             column.prop(settings, name)
         layout.prop(settings, "simulation_damping" if simulated else "damping_ratio")
-        if simulated:
-            layout.prop(settings, "gravity")
+        layout.prop(settings, "gravity")
+        layout.prop(settings, "amplitude")
+        if settings.solver == "implicit-euler":
             layout.prop(settings, "quality")
+        elif settings.solver == "emulator":
+            layout.prop(settings, "corrections")
+            layout.prop(settings, "weights")
 
 
-class FOLLOWTHROUGH_PT_frames(_CharacterPanel, Panel):
+class FOLLOWTHROUGH_PT_frames(CharacterPanel, Panel):
     bl_label = "Frames"
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -105,9 +111,10 @@ class FOLLOWTHROUGH_PT_frames(_CharacterPanel, Panel):
             layout.prop(settings, "cycles")
         else:
             layout.prop(settings, "preroll")
+        layout.prop(settings, "output")
 
 
-class FOLLOWTHROUGH_PT_volume(_CharacterPanel, Panel):
+class FOLLOWTHROUGH_PT_volume(CharacterPanel, Panel):
     bl_label = "Volume"
     bl_options = {"DEFAULT_CLOSED"}
 

@@ -16,8 +16,10 @@
 
 namespace followthrough {
 
+void bind_controls(pybind11::module_& m);
 void bind_elastic(pybind11::module_& m);
 void bind_emulator(pybind11::module_& m);
+void bind_emulator_newton(pybind11::module_& m);
 void bind_mesh(pybind11::module_& m);
 void bind_skinning(pybind11::module_& m);
 void bind_motion(pybind11::module_& m);

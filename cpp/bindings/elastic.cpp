@@ -8,6 +8,7 @@
 #include "bindings.hpp"
 #include "followthrough/elastic/central_differences.hpp"
 #include "followthrough/elastic/implicit_euler.hpp"
+#include "followthrough/elastic/predictor_corrector.hpp"
 
 namespace py = pybind11;
 
@@ -91,6 +92,12 @@ void bind_elastic(py::module_& m) {
            py::arg("body"), py::arg("material"), py::arg("constrained"), py::arg("dt"), py::arg("newton"), py::arg("gravity"),
            py::arg("mass_damping"), py::arg("stiffness_damping"), py::arg("pin_stiffness"), release())
       .def_property_readonly("last_step", &ImplicitEuler::last_step);
+
+  py::class_<PredictorCorrector, Solver>(
+      m, "PredictorCorrector", "A prediction that the true solver improves. Use followthrough.elastic.PredictorCorrector.")
+      .def(py::init<Solver&, ImplicitEuler&>(), py::arg("predictor"), py::arg("corrector"), py::keep_alive<1, 2>(),
+           py::keep_alive<1, 3>())
+      .def_property_readonly("last_step", &PredictorCorrector::last_step);
 
   py::class_<CentralDifferences, Solver>(m, "CentralDifferences",
                                          "Explicit finite elements. Use followthrough.elastic.CentralDifferences.")

@@ -34,12 +34,13 @@ Perceptron perceptron_of(const char* name, const Layers& layers) {
 
 Emulator make(ConstPositions rest_positions, ConstTets tets, ConstMask constrained, const Vector& youngs_modulus,
               const Vector& density, double dt, double edge_length, const Layers& inertia, const std::vector<Layers>& forces,
-              const Layers& displacement, double network_edge_length, double network_dt, double network_density) {
+              const Layers& displacement, double network_edge_length, double network_dt, double network_density,
+              const Eigen::Vector3d& gravity) {
   PatchNetwork network;
   network.inertia = perceptron_of("point_mlp", inertia);
   for (const Layers& force : forces) network.forces.push_back(perceptron_of("edge_mlp", force));
   network.displacement = perceptron_of("instance_mlp", displacement);
-  EmulatedBody body{rest_positions, tets, constrained, youngs_modulus, density, dt, edge_length};
+  EmulatedBody body{rest_positions, tets, constrained, youngs_modulus, density, dt, edge_length, gravity};
   const py::gil_scoped_release release;
   return Emulator(body, network, {network_edge_length, network_dt, network_density});
 }
@@ -50,7 +51,8 @@ void bind_emulator(py::module_& m) {
   py::class_<Emulator, Solver>(m, "Emulator", "Dynamics by a patch network. Use followthrough.emulator.Emulator.")
       .def(py::init(&make), py::arg("rest_positions"), py::arg("tets"), py::arg("constrained"), py::arg("youngs_modulus"),
            py::arg("density"), py::arg("dt"), py::arg("edge_length"), py::arg("inertia"), py::arg("forces"),
-           py::arg("displacement"), py::arg("network_edge_length"), py::arg("network_dt"), py::arg("network_density"))
+           py::arg("displacement"), py::arg("network_edge_length"), py::arg("network_dt"), py::arg("network_density"),
+           py::arg("gravity"))
       .def_property_readonly("vertex_count", &Emulator::vertex_count)
       .def_property_readonly("free_vertex_count", &Emulator::free_vertex_count)
       .def_property_readonly("edge_count", &Emulator::edge_count)

@@ -26,4 +26,6 @@ PYBIND11_MODULE(_core, m) {
   followthrough::bind_springs(m);
   followthrough::bind_quasistatic(m);
   followthrough::bind_emulator(m);
+  followthrough::bind_emulator_newton(m);
+  followthrough::bind_controls(m);
 }

@@ -22,6 +22,13 @@ def inverse_affine(matrix: FloatArray) -> FloatArray:
     return inverse
 
 
+def determinant(matrix: FloatArray) -> float:
+    """Of a (3, 3) matrix."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    found: float = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
+    return found
+
+
 def _inverse_linear(matrix: FloatArray) -> FloatArray:
     """Inverse of a (3, 3) matrix, by cofactors."""
     (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()

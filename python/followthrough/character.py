@@ -96,16 +96,43 @@ class Surface:
 
 
 @dataclass(frozen=True)
+class LearnedSprings:
+    """Spring constants that were learned from a simulation (`followthrough.spring_fit`), one a vertex.
+
+    Parameters
+    ----------
+    stiffness, damping : (v,) float64
+        ks, 1/s², and kd, 1/s; 0 where nothing was learned.
+    painted_stiffness : (v,) float64
+        ks, 1/s², that paint and settings gave when they were learned: what is painted or set otherwise since then scales them.
+    damping_ratio
+        Of the settings at that time.
+    """
+
+    stiffness: FloatArray
+    damping: FloatArray
+    painted_stiffness: FloatArray
+    damping_ratio: float
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(v,) bool: where something was learned."""
+        known: NDArray[np.bool_] = (self.stiffness > 0) & (self.damping > 0) & (self.painted_stiffness > 0)
+        return known
+
+
+@dataclass(frozen=True)
 class Paint:
     """What an artist painted, one value from 0 to 1 a surface vertex; (v,) float64 each.
 
     `stiffness` 0 is the softest and 1 the stiffest, `mass` 0 the lightest and 1 the heaviest (0.5 is neutral), `pins` 0 free, 1 follows
-    the armature exactly, and anything between is a soft pin.
+    the armature exactly, and anything between is a soft pin. `learned` are springs that take the place of painted ones.
     """
 
     stiffness: FloatArray
     mass: FloatArray
     pins: FloatArray
+    learned: LearnedSprings | None = None
 
 
 @dataclass(frozen=True)

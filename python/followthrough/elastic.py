@@ -267,6 +267,42 @@ class ImplicitEuler(_ElasticSolver):
         return self.last_step.converged
 
 
+class PredictorCorrector(Solver):
+    """A quick solver's prediction as the start of Newton's method: the true solver takes over where its few iterations reach.
+
+    What comes out is the state of both. The state's arrays are the predictor's, positions of its last frames first, and the reference, m.
+
+    Parameters
+    ----------
+    predictor
+        A solver whose state is its last frames, such as `emulator.Emulator`; this one's alone from now on.
+    corrector
+        Of the same vertices, material, constraints and dt, this one's alone too; its `most_iterations` bound the corrections of a frame.
+
+    Raises
+    ------
+    ValueError
+        Where they do not fit each other, or the predictor is of another kind.
+    """
+
+    def __init__(self, predictor: Solver, corrector: ImplicitEuler) -> None:
+        self.predictor = predictor
+        self.corrector = corrector
+        super().__init__(_core.PredictorCorrector(predictor.core, corrector.core))
+
+    def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
+        """Continue after frames (t + 1, n, 3) that are known, t 0 or more: their last ones become the state."""
+        self.predictor.resume(dynamic, reference)
+        state = self.predictor.state()
+        last = array_checks.positions("reference", reference[-1])
+        self.restore(SolverState((*state.arrays, last), state.frames))
+
+    @property
+    def last_step(self) -> StepReport:
+        """How the last correction went. It need not converge: it is asked for some iterations, no more (`Solver.converged`)."""
+        return StepReport.of(self._core.last_step)
+
+
 class CentralDifferences(_ElasticSolver):
     """The explicit baseline of [DE, eq. 2]: cheap steps with the lumped mass, of which a frame needs many.
 

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Dynamics by a patch network [DE]: a vertex's next frame from its own last three, the reference and its neighbours."""
+"""Dynamics by a patch network: a vertex's next frame from its own last three, the reference and its neighbours [DE], or Newton steps of
+finite elements that a network corrects. The weights say which."""
 
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from followthrough import _core, array_checks
+from followthrough import _core, array_checks, newton_weights
 from followthrough.character import FloatArray
 from followthrough.emulator_weights import EmulatorWeights
 from followthrough.solver import Solver, SolverState
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 class Emulator(Solver):
     """A network moves the free vertices, constrained ones take the reference.
 
-    The state's arrays are positions of the last three frames, the newest first, then the reference of the last two, m.
+    The state's arrays are positions of the last three frames, the newest first, then the reference of the last two, m; those of a
+    network that guides Newton steps are a frame more of either.
 
     A scene of any size, frame rate and density is mapped to the network's own units such that every vertex keeps its dimensionless
     stiffness s = E dt² / (density edge²), on which alone the motion depends. Where s lies outside the range that the network was trained
@@ -43,8 +45,17 @@ class Emulator(Solver):
         Seconds a frame.
     weights
         The network.
+    gravity
+        m/s². The network is shown the scene from a frame of reference that falls, where bodies have no weight, so it need not have
+        learned any.
     edge_length
         Edge of the cubes that the tets fill, m; None: that of cubes of six tets with the median tet's volume.
+    poisson_ratio, compression_resistance
+        Of the material; None: what the network was trained on. The paper's network knows no other; where they differ a UserWarning
+        says so.
+    extra_passes, extra_iterations
+        Newton passes without a network at the end of each frame, and conjugate gradient iterations of each: the more, the nearer to
+        backward Euler's own answer, and the slower. Only for networks that guide Newton steps.
 
     Raises
     ------
@@ -62,15 +73,23 @@ class Emulator(Solver):
         dt: float,
         weights: EmulatorWeights,
         *,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
         edge_length: float | None = None,
+        poisson_ratio: float | None = None,
+        compression_resistance: float | None = None,
+        extra_passes: int = 0,
+        extra_iterations: int = 16,
     ) -> None:
         rest = array_checks.positions("rest_positions", rest_positions)
         pinned = array_checks.mask("constrained", constrained, len(rest))
         if edge_length is not None and not edge_length > 0:
             raise ValueError(f"edge_length: found {edge_length:g}, expected a positive number of metres")
         trained_on = weights.trained_on
-        rings = ("edge_mlp", "edge_mlp_2", "edge_mlp_3")[: weights.rings]
-        core = _core.Emulator(
+        material = (
+            trained_on.poisson_ratio if poisson_ratio is None else float(poisson_ratio),
+            trained_on.compression_resistance if compression_resistance is None else float(compression_resistance),
+        )
+        body = (
             rest,
             array_checks.tets("tets", tets),
             pinned,
@@ -78,25 +97,44 @@ class Emulator(Solver):
             array_checks.per_vertex("density", density, len(rest)),
             float(dt),
             edge_length or 0.0,
-            weights.layers("point_mlp"),
-            [weights.layers(name) for name in rings],
-            weights.layers("instance_mlp"),
-            trained_on.edge_length,
-            trained_on.dt,
-            trained_on.density,
+            array_checks.vector3("gravity", gravity),
         )
+        if weights.newton is None:
+            if extra_passes:
+                raise ValueError(
+                    f"extra_passes: found {extra_passes}, expected 0 for a network that takes no Newton steps"
+                )
+            core = _patch_network(body, weights)
+        else:
+            schedule = weights.newton
+            start, *passes = (newton_weights.layers(weights.parameters, guide) for guide in schedule.guides())
+            core = _core.PatchNewton(
+                *body,
+                *material,
+                start,
+                list(zip(schedule.iterations, passes, strict=True)),
+                schedule.most_passes,
+                schedule.tolerance,
+                extra_passes,
+                extra_iterations,
+            )
         super().__init__(core)
+        self._history = 3 if weights.newton is None else 4
+        self._warn_of_material(material, weights)
         self._warn_outside(self.stiffness[~pinned], trained_on.stiffness_range)
 
     @classmethod
-    def of_sequence(cls, sequence: Sequence, weights: EmulatorWeights, *, edge_length: float | None = None) -> Self:
+    def of_sequence(
+        cls,
+        sequence: Sequence,
+        weights: EmulatorWeights,
+        *,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+        edge_length: float | None = None,
+        extra_passes: int = 0,
+        extra_iterations: int = 16,
+    ) -> Self:
         """The emulator of the volume that a sequence describes; warns where its material is not the one that was learned."""
-        for name in ("poisson_ratio", "compression_resistance"):
-            found, learned = getattr(sequence, name), getattr(weights.trained_on, name)
-            if not np.isclose(found, learned):
-                warnings.warn(
-                    f"{name}: found {found:g}, but the network learned {learned:g} and knows no other", stacklevel=2
-                )
         return cls(
             sequence.rest_positions,
             sequence.tets,
@@ -105,8 +143,23 @@ class Emulator(Solver):
             sequence.density,
             sequence.dt,
             weights,
+            gravity=gravity,
             edge_length=edge_length,
+            poisson_ratio=sequence.poisson_ratio,
+            compression_resistance=sequence.compression_resistance,
+            extra_passes=extra_passes,
+            extra_iterations=extra_iterations,
         )
+
+    @staticmethod
+    def _warn_of_material(material: tuple[float, float], weights: EmulatorWeights) -> None:
+        consequence = "knows no other" if weights.newton is None else "guides others less well"
+        for name, found in zip(("poisson_ratio", "compression_resistance"), material, strict=True):
+            learned = getattr(weights.trained_on, name)
+            if not np.isclose(found, learned):
+                warnings.warn(
+                    f"{name}: found {found:g}, but the network learned {learned:g} and {consequence}", stacklevel=3
+                )
 
     @staticmethod
     def _warn_outside(stiffness: FloatArray, trained: tuple[float, float]) -> None:
@@ -148,6 +201,22 @@ class Emulator(Solver):
 
     def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
         """Continue after frames (t + 1, n, 3) that are known, t 0 or more; before the first one stands the first one."""
-        frames = [dynamic[max(len(dynamic) - k, 0)] for k in (1, 2, 3)]
-        references = [reference[max(len(reference) - k, 0)] for k in (1, 2)]
-        self.restore(SolverState((*frames, *references), len(dynamic) - 1))
+        past, references = (3, 2) if self._history == 3 else (4, 3)
+        arrays = [dynamic[max(len(dynamic) - k, 0)] for k in range(1, past + 1)]
+        arrays += [reference[max(len(reference) - k, 0)] for k in range(1, references + 1)]
+        self.restore(SolverState(tuple(arrays), len(dynamic) - 1))
+
+
+def _patch_network(body: tuple[Any, ...], weights: EmulatorWeights) -> Any:
+    rings = ("edge_mlp", "edge_mlp_2", "edge_mlp_3")[: weights.rings]
+    *volume, gravity = body
+    return _core.Emulator(
+        *volume,
+        weights.layers("point_mlp"),
+        [weights.layers(name) for name in rings],
+        weights.layers("instance_mlp"),
+        weights.trained_on.edge_length,
+        weights.trained_on.dt,
+        weights.trained_on.density,
+        gravity,
+    )

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Weights files of the emulator: the network's parameters under their names in PyTorch, and what they were trained on."""
+"""Weights files of the emulator: the network's parameters under their names in PyTorch, and what they were trained on.
+
+There are two kinds of network: the paper's, `patch`, and Newton steps that small networks guide, `guided-newton`.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
@@ -14,6 +18,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from followthrough import newton_weights
+from followthrough.newton_weights import NewtonSchedule
 from followthrough.npz_files import read_npz, write_npz
 
 Float32Array = NDArray[np.float32]
@@ -23,6 +29,9 @@ Layers = list[tuple[Float32Array, Float32Array | None]]
 #: The key that holds what is not a parameter, as JSON text.
 METADATA_KEY = "followthrough"
 FORMAT = 1
+NETWORKS = ("patch", "guided-newton")
+#: The weights that come with the package.
+SHIPPED = Path(__file__).parent / "weights" / "emulator.npz"
 PERCEPTRONS = ("point_mlp", "edge_mlp", "edge_mlp_2", "edge_mlp_3", "instance_mlp")
 
 
@@ -58,16 +67,18 @@ class TrainedOn:
 
 @dataclass(frozen=True, eq=False)
 class EmulatorWeights:
-    """A patch network. Its architecture is whatever its parameters say; everything is checked when it is made.
+    """A network. Its architecture is whatever its parameters say; everything is checked when it is made.
 
     Attributes
     ----------
     parameters : dict of float32 arrays
-        `point_mlp.0.weight` and so on (docs/command-line.md, "Weights files").
+        `point_mlp.0.weight` or `passes.0.1.weight` and so on (docs/command-line.md, "Weights files").
     trained_on
         Units and reach.
     manifest
         How it was made, for people: data, seed, configuration, scores.
+    newton
+        The passes, where this is a `guided-newton`; None: the paper's network.
 
     Raises
     ------
@@ -78,9 +89,18 @@ class EmulatorWeights:
     parameters: Mapping[str, Float32Array]
     trained_on: TrainedOn = field(default_factory=TrainedOn)
     manifest: Mapping[str, Any] = field(default_factory=dict)
+    newton: NewtonSchedule | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "parameters", {name: _checked(name, a) for name, a in self.parameters.items()})
+        dimensions = _dimensions_of if self.newton is None else newton_weights.dimensions_of
+        parameters = {name: _checked(name, array, dimensions(name)) for name, array in self.parameters.items()}
+        object.__setattr__(self, "parameters", parameters)
+        if self.newton is None:
+            self._require_patch_network()
+        else:
+            newton_weights.require_parameters(parameters, self.newton)
+
+    def _require_patch_network(self) -> None:
         missing = [name for name in ("point_mlp", "edge_mlp", "instance_mlp") if not self.layers(name)]
         if missing:
             raise ValueError(
@@ -111,6 +131,11 @@ class EmulatorWeights:
             raise ValueError(f"instance_mlp: found {self._outputs('instance_mlp')} outputs, expected 3")
 
     @property
+    def network(self) -> str:
+        """`patch` or `guided-newton`."""
+        return "patch" if self.newton is None else "guided-newton"
+
+    @property
     def rings(self) -> int:
         """How many edges away a vertex is seen: 1 to 3."""
         return 1 + bool(self.layers("edge_mlp_2")) + bool(self.layers("edge_mlp_3"))
@@ -125,12 +150,36 @@ class EmulatorWeights:
         """Number of weights and biases; 237,571 in the published network."""
         return sum(array.size for array in self.parameters.values())
 
+    def digest(self) -> bytes:
+        """16 bytes that tell apart what predicts differently: of parameters and units, whatever file they are from."""
+        found = hashlib.blake2b(repr(self.trained_on).encode(), digest_size=16)
+        for name, array in sorted(self.parameters.items()):
+            found.update(f"{name}{array.shape}".encode())
+            found.update(array.data)
+        return found.digest()
+
     def layers(self, name: str) -> Layers:
         """A perceptron's layers, none where it is not there."""
         layers: Layers = []
         while (weight := self.parameters.get(f"{name}.{2 * len(layers)}.weight")) is not None:
             layers.append((weight, self.parameters.get(f"{name}.{2 * len(layers)}.bias")))
         return layers
+
+    @classmethod
+    def shipped(cls) -> Self:
+        """The weights that come with the package.
+
+        Raises
+        ------
+        ValueError
+            Where this version brings none; `are_shipped` asks.
+        """
+        if not are_shipped():
+            raise ValueError(
+                "weights: this version of followthrough brings none for the emulator, expected a weights file "
+                "(followthrough dataset and followthrough train make one), or another solver: implicit-euler (Simulation) or springs"
+            )
+        return cls.load(SHIPPED)
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
@@ -143,8 +192,8 @@ class EmulatorWeights:
         """
         arrays = read_npz(path)
         try:
-            metadata = _metadata(arrays.pop(METADATA_KEY, None))
-            return cls(arrays, *metadata)
+            trained_on, manifest, newton = _metadata(arrays.pop(METADATA_KEY, None))
+            return cls(arrays, trained_on, manifest, newton)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
 
@@ -156,12 +205,14 @@ class EmulatorWeights:
         ValueError
             Where the folder is missing.
         """
-        metadata = {
+        metadata: dict[str, Any] = {
             "format": FORMAT,
-            "network": "patch",
+            "network": self.network,
             "trained_on": asdict(self.trained_on),
             "manifest": self.manifest,
         }
+        if self.newton is not None:
+            metadata |= self.newton.metadata()
         write_npz(path, {**self.parameters, METADATA_KEY: np.array(json.dumps(metadata))})
 
     def _outputs(self, name: str) -> int:
@@ -188,10 +239,18 @@ class EmulatorWeights:
 KINDS = ("weight", "bias")
 
 
-def _checked(name: str, array: NDArray[Any]) -> Float32Array:
-    dimensions = 2 if name.endswith(".weight") else 1
+def are_shipped() -> bool:
+    """Whether weights come with the package; the emulator is then what bakes unless another solver is chosen."""
+    return SHIPPED.is_file()
+
+
+def _dimensions_of(name: str) -> int:
     if not re.fullmatch(r"\w+\.\d+\.(weight|bias)", name):
         raise ValueError(f"found {name}, expected only weights and biases such as edge_mlp.0.weight")
+    return 2 if name.endswith(".weight") else 1
+
+
+def _checked(name: str, array: NDArray[Any], dimensions: int) -> Float32Array:
     array = np.asarray(array)
     if array.dtype.kind != "f":
         raise ValueError(f"{name}: found {array.dtype}, expected float32")
@@ -206,9 +265,9 @@ def _checked(name: str, array: NDArray[Any]) -> Float32Array:
     return array
 
 
-def _metadata(text: NDArray[Any] | None) -> tuple[TrainedOn, dict[str, Any]]:
+def _metadata(text: NDArray[Any] | None) -> tuple[TrainedOn, dict[str, Any], NewtonSchedule | None]:
     if text is None:
-        return TrainedOn(), {}
+        return TrainedOn(), {}, None
     if text.ndim != 0 or text.dtype.kind != "U":
         raise ValueError(f"{METADATA_KEY}: found shape {text.shape} of {text.dtype}, expected one text")
     try:
@@ -216,16 +275,17 @@ def _metadata(text: NDArray[Any] | None) -> tuple[TrainedOn, dict[str, Any]]:
         version, network = values["format"], values["network"]
         trained = values["trained_on"]
         manifest = dict(values["manifest"])
-        if version == FORMAT and network == "patch":
+        if version == FORMAT and network in NETWORKS:
             numbers = {f.name: trained[f.name] for f in fields(TrainedOn)}
             low, high = numbers.pop("stiffness_range")
             return (
                 TrainedOn(**{name: float(n) for name, n in numbers.items()}, stiffness_range=(float(low), float(high))),
                 manifest,
+                NewtonSchedule.from_metadata(values) if network == "guided-newton" else None,
             )
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{METADATA_KEY}: found metadata that this version cannot read ({error!r})") from None
     raise ValueError(
-        f"{METADATA_KEY}: found format {version} of a network called {network}, expected format {FORMAT} of patch "
-        "(the file may be of a newer version of followthrough)"
+        f"{METADATA_KEY}: found format {version} of a network called {network}, expected format {FORMAT} of "
+        f"{' or '.join(NETWORKS)} (the file may be of a newer version of followthrough)"
     )

@@ -124,8 +124,8 @@ def written_whole(path: Path | str) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def write_npz(path: Path | str, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays under their names, compressed, all or nothing.
+def write_npz(path: Path | str, arrays: Mapping[str, NDArray[Any]], compressed: bool = True) -> None:
+    """Write arrays under their names, all or nothing.
 
     Raises
     ------
@@ -135,5 +135,6 @@ def write_npz(path: Path | str, arrays: Mapping[str, NDArray[Any]]) -> None:
     with written_whole(path) as temporary:
         # Not straight to the file: interrupted, NumPy's archive would still want to finish it after it is closed, and complain.
         archive = io.BytesIO()
-        np.savez_compressed(archive, **{name: np.asarray(array) for name, array in arrays.items()})
+        save = np.savez_compressed if compressed else np.savez
+        save(archive, **{name: np.asarray(array) for name, array in arrays.items()})
         temporary.write_bytes(archive.getbuffer())

@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from followthrough import _core
-from followthrough.character import BonePose, FloatArray, Paint, Pose, Surface
-from followthrough.elastic import ImplicitEuler
+from followthrough.character import BonePose, FloatArray, LearnedSprings, Paint, Pose, Surface
+from followthrough.controls import Amplified
+from followthrough.emulated_flesh import caution, load_weights, make_emulated_flesh
 from followthrough.flesh import loose_vertices, make_flesh
+from followthrough.mesh import TetMesh
 from followthrough.settings import Settings, SpringSettings
 from followthrough.solver import Solver
 from followthrough.springs import Springs
@@ -56,30 +58,70 @@ def make_solver(volume: Volume, settings: Settings, dt: float) -> Solver:
     ValueError
         Where it cannot be made for this volume.
     """
+    solver: Solver
     if settings.solver == "implicit-euler":
-        return make_flesh(volume, settings.simulation, dt)
-    return make_springs(volume, settings.springs, dt)
+        solver = make_flesh(volume, settings.simulation, dt)
+    elif settings.solver == "emulator":
+        solver = make_emulated_flesh(volume, settings.simulation, settings.emulator, dt)
+    else:
+        solver = make_springs(volume, settings.springs, dt)
+    return solver if settings.amplitude == 1.0 else Amplified(solver, settings.amplitude)
 
 
 def make_springs(volume: Volume, settings: SpringSettings, dt: float) -> Springs:
-    """Springs on the volume's vertices, with painted constants.
+    """Springs on the volume's vertices, with learned constants where there are any, and painted ones elsewhere.
 
-    A soft pin p strengthens the spring to ks / (1 - p) at the same damping ratio.
+    A soft pin p strengthens a painted spring to ks / (1 - p) at the same damping ratio; a learned one has felt the pins already.
     """
     low, high = settings.stiffness_range
-    light, heavy = settings.mass_range
-    mass = light ** (1.0 - volume.mass) * heavy**volume.mass
+    mass = _mass(volume.mass, settings)
     unit_stiffness = low ** (1.0 - volume.stiffness) * high**volume.stiffness
     unit_damping = (
         2.0 * settings.damping_ratio * np.sqrt(unit_stiffness) if settings.damping is None else settings.damping
     )
     free = 1.0 - np.where(volume.pinned, 0.0, volume.pins)
+    stiffness, damping = unit_stiffness / mass / free, unit_damping / mass / np.sqrt(free)
+    if volume.learned is not None and settings.use_learned:
+        stiffness, damping = _with_learned(volume.learned, unit_stiffness / mass, stiffness, damping, settings)
     return Springs(
-        stiffness=unit_stiffness / mass / free,
-        damping=unit_damping / mass / np.sqrt(free),
+        stiffness=stiffness,
+        damping=damping,
         dt=dt,
         pinned=volume.pinned,
+        gravity=(0.0, 0.0, -settings.gravity * volume.surface.size),
     )
+
+
+def painted_stiffness(stiffness: FloatArray, mass: FloatArray, settings: SpringSettings) -> FloatArray:
+    """ks (n,), 1/s², of springs where stiffness and mass are painted so, without pins."""
+    low, high = settings.stiffness_range
+    values: FloatArray = low ** (1.0 - stiffness) * high**stiffness / _mass(mass, settings)
+    return values
+
+
+def _mass(painted: FloatArray | float, settings: SpringSettings) -> FloatArray:
+    light, heavy = settings.mass_range
+    factor: FloatArray = np.asarray(light ** (1.0 - painted) * heavy**painted)
+    return factor
+
+
+def _with_learned(
+    learned: LearnedSprings, painted: FloatArray, stiffness: FloatArray, damping: FloatArray, settings: SpringSettings
+) -> tuple[FloatArray, FloatArray]:
+    """Learned constants in the place of others where there are some; `painted` is what paint and settings say now."""
+    known = learned.known
+    faster = np.ones(len(known))
+    calmer = 1.0
+    if settings.scale_learned:
+        faster[known] = painted[known] / learned.painted_stiffness[known]
+        if settings.damping is None:
+            usual = SpringSettings().damping_ratio
+            before, now = learned.damping_ratio, settings.damping_ratio
+            calmer = now / before if before > 0 else 1.0 + now / usual
+    scaled = np.where(known, learned.damping * np.sqrt(faster) * calmer, damping)
+    if settings.damping is not None and settings.scale_learned:
+        scaled = damping  # one damping for all, as it is asked for
+    return np.where(known, learned.stiffness * faster, stiffness), scaled
 
 
 class RiggedMotion:
@@ -107,7 +149,7 @@ class RiggedMotion:
             minimum_stretch,
             solver.core,
             # Springs leave the other cores to Blender, which works on the next pose meanwhile.
-            0 if isinstance(solver, ImplicitEuler) else 1,
+            1 if solver.is_quick else 0,
         )
 
     def reset(self, pose: Pose) -> None:
@@ -138,9 +180,7 @@ class RiggedMotion:
 
     def _frame(self, result: tuple[FloatArray, FloatArray, float, float]) -> Frame:
         offsets, displacements, largest_displacement, largest_residual = result
-        return Frame(
-            offsets, displacements, largest_displacement, largest_residual, converged=_has_converged(self._solver)
-        )
+        return Frame(offsets, displacements, largest_displacement, largest_residual, converged=self._solver.converged)
 
     def _poses(self, pose: Pose, next_pose: Pose | None) -> tuple[Any, Any]:
         """Both for the core; the pose ahead is the next call's pose."""
@@ -159,16 +199,15 @@ class RiggedMotion:
         return _core.RigPose(_matrices(pose.bone_matrices), armature, pose.world)
 
 
-def _has_converged(solver: Solver) -> bool:
-    return not isinstance(solver, ImplicitEuler) or solver.last_step.converged
-
-
 def _matrices(matrices: FloatArray) -> FloatArray:
     return np.ascontiguousarray(matrices, dtype=np.float64).reshape(-1, 16)
 
 
 class SecondaryMotion:
     """Drives one solver with a character's poses.
+
+    `caution` is a sentence for the artist where the solver is asked for more than it can do (`emulated_flesh.caution`), or empty;
+    `weights` are the emulator's, None for other solvers.
 
     Parameters
     ----------
@@ -178,6 +217,8 @@ class SecondaryMotion:
         Volume and solver.
     dt
         Seconds a frame.
+    tet_mesh
+        As in `build_volume`.
 
     Raises
     ------
@@ -185,12 +226,16 @@ class SecondaryMotion:
         Where the arrays do not fit each other, or the solver cannot be made for them.
     """
 
-    def __init__(self, surface: Surface, paint: Paint, settings: Settings, dt: float) -> None:
+    def __init__(
+        self, surface: Surface, paint: Paint, settings: Settings, dt: float, tet_mesh: TetMesh | None = None
+    ) -> None:
         if not (np.isfinite(dt) and dt > 0):
             raise ValueError(f"dt: found {dt:g}, expected a positive number of seconds")
         self.settings = settings
-        self.volume = build_volume(surface, paint, settings.volume)
+        self.volume = build_volume(surface, paint, settings.volume, tet_mesh)
+        self.weights = load_weights(settings.emulator) if settings.solver == "emulator" else None
         self.solver = make_solver(self.volume, settings, dt)
+        self.caution = caution(surface, paint, settings, dt, self.volume.tet_mesh)
         self._rigged = None if surface.rig is None else RiggedMotion(self.volume, self.solver, settings.minimum_stretch)
         self._ahead: tuple[Pose, FloatArray] | None = None
         self._threads: concurrent.futures.ThreadPoolExecutor | None = None
@@ -277,7 +322,7 @@ class SecondaryMotion:
         self._ahead = None if next_pose is None else (next_pose, self.volume.reference(next_pose))
         dynamic = self.solver.step(reference, None if self._ahead is None else self._ahead[1])
         displacements = self.volume.surface_displacements(dynamic, reference)
-        return Frame(None, displacements, _longest(displacements), 0.0, _has_converged(self.solver))
+        return Frame(None, displacements, _longest(displacements), 0.0, self.solver.converged)
 
 
 def _longest(vectors: FloatArray) -> float:

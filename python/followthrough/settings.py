@@ -5,13 +5,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal, get_args
 
+from followthrough import emulator_weights
 from followthrough.elastic import QUALITIES, Quality
 
 VolumeMethod = Literal["voxel", "tetgen"]
-SolverName = Literal["springs", "implicit-euler"]
+SolverName = Literal["springs", "emulator", "implicit-euler"]
 SOLVERS: tuple[SolverName, ...] = get_args(SolverName)
+
+
+def default_solver() -> SolverName:
+    """What bakes where nothing else is chosen: the emulator, or springs in a version that brings no weights for it."""
+    return "emulator" if emulator_weights.are_shipped() else "springs"
 
 
 def _require_range(name: str, low: float, high: float) -> None:
@@ -22,6 +29,11 @@ def _require_range(name: str, low: float, high: float) -> None:
 def _require_not_negative(name: str, value: float) -> None:
     if not (math.isfinite(value) and value >= 0):
         raise ValueError(f"{name}: found {value:g}, expected a finite number, 0 or more")
+
+
+def _require_finite(name: str, value: float) -> None:
+    if not math.isfinite(value):
+        raise ValueError(f"{name}: found {value:g}, expected a finite number")
 
 
 @dataclass(frozen=True)
@@ -39,14 +51,25 @@ class SpringSettings:
         Spring damping kd (1/s, divided by the mass), the same everywhere; None: from `damping_ratio`.
     mass_range
         Mass factor where the mass group is painted 0 and 1, logarithmic between; both constants are divided by it.
+    gravity
+        Downwards along the world's z, m/s² for a character 1 m long: the skin of one that is `Surface.size` long
+        rests gravity * size / ks lower.
+    use_learned
+        Whether springs that were learned take the place of painted ones, where there are any.
+    scale_learned
+        Whether what is set and painted now, over what it was when they were learned, scales them.
     """
 
     stiffness_range: tuple[float, float] = (250.0, 4000.0)
     damping_ratio: float = 0.25
     damping: float | None = None
     mass_range: tuple[float, float] = (0.25, 4.0)
+    gravity: float = 0.0
+    use_learned: bool = True
+    scale_learned: bool = True
 
     def __post_init__(self) -> None:
+        _require_finite("gravity", self.gravity)
         _require_range("stiffness_range", *self.stiffness_range)
         _require_range("mass_range", *self.mass_range)
         for name in ("damping_ratio", "damping"):
@@ -57,7 +80,7 @@ class SpringSettings:
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """Flesh for the finite elements (`elastic.ImplicitEuler`) that painted values are mapped to.
+    """Flesh for the finite elements (`elastic.ImplicitEuler`), and for the emulator, that painted values are mapped to.
 
     Stiffness and gravity are those of a character 1 m long along its longest side (`Surface.size`); for another size the modulus
     is multiplied by the size squared and gravity by the size. A copy of a character in other units then moves alike.
@@ -70,12 +93,12 @@ class SimulationSettings:
         Density (kg/m³) where the mass group is painted 0 and 1, logarithmic between.
     damping_ratio
         Damping beside backward Euler's own, which no setting takes away: share of critical damping of a layer of flesh
-        of middle stiffness, a tenth of the character thick (`flesh.FLESH_THICKNESS`). Faster motion is damped more, rigid
-        motion not at all.
+        of middle stiffness, a tenth of the character thick (`flesh.FLESH_THICKNESS`). The finite elements damp faster motion more and
+        rigid motion not at all; the emulator damps all motion relative to the reference at one rate.
     gravity
         Downwards along the world's z, m/s². Rigs are usually modelled as gravity has them, so it is 0 as it comes.
     quality
-        "preview" bounds the work of a frame, "fine" is as good as the eye can tell, "converged" is exact.
+        Of the finite elements: "preview" bounds the work of a frame, "fine" is as good as the eye can tell, "converged" is exact.
     """
 
     youngs_modulus_range: tuple[float, float] = (2e3, 1e5)
@@ -88,10 +111,29 @@ class SimulationSettings:
         _require_range("youngs_modulus_range", *self.youngs_modulus_range)
         _require_range("density_range", *self.density_range)
         _require_not_negative("damping_ratio", self.damping_ratio)
-        if not math.isfinite(self.gravity):
-            raise ValueError(f"gravity: found {self.gravity:g}, expected a finite number")
+        _require_finite("gravity", self.gravity)
         if self.quality not in QUALITIES:
             raise ValueError(f"quality: found {self.quality!r}, expected {', '.join(QUALITIES)}")
+
+
+@dataclass(frozen=True)
+class EmulatorSettings:
+    """The emulator; what it moves is the flesh of `SimulationSettings`.
+
+    Parameters
+    ----------
+    weights
+        Weights file; None: those that come with the package.
+    corrections
+        Newton iterations of the true solver, at most, that start from each prediction. 0: the network alone.
+    """
+
+    weights: Path | None = None
+    corrections: int = 0
+
+    def __post_init__(self) -> None:
+        if self.corrections < 0:
+            raise ValueError(f"corrections: found {self.corrections}, expected 0 or more")
 
 
 @dataclass(frozen=True)
@@ -133,22 +175,27 @@ class Settings:
     volume
         See there.
     solver
-        "springs", or "implicit-euler": finite elements.
-    springs, simulation
-        Constants of the one and of the other.
+        "springs"; "implicit-euler": finite elements; or "emulator": the network that has learned them.
+    springs, simulation, emulator
+        Constants of the springs, of the flesh, and how the network is run.
+    amplitude
+        How far the motion goes, on any solver (`controls.Amplified`): 0 is the rig alone, 1 what the solver says.
     minimum_stretch
         Inverse skinning never divides by a stretch smaller than this: where the rig flattens the skin, the shape key stays bounded and
         the part of the motion that it cannot show is reported as the residual.
     """
 
     volume: VolumeSettings = field(default_factory=VolumeSettings)
-    solver: SolverName = "springs"
+    solver: SolverName = field(default_factory=default_solver)
     springs: SpringSettings = field(default_factory=SpringSettings)
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
+    emulator: EmulatorSettings = field(default_factory=EmulatorSettings)
+    amplitude: float = 1.0
     minimum_stretch: float = 0.05
 
     def __post_init__(self) -> None:
         if self.solver not in SOLVERS:
             raise ValueError(f"solver: found {self.solver!r}, expected {' or '.join(SOLVERS)}")
+        _require_not_negative("amplitude", self.amplitude)
         if not (math.isfinite(self.minimum_stretch) and 0 < self.minimum_stretch <= 1):
             raise ValueError(f"minimum_stretch: found {self.minimum_stretch:g}, expected more than 0 and at most 1")

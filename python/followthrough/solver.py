@@ -94,6 +94,11 @@ class Solver(ABC):
         return positions
 
     @property
+    def is_quick(self) -> bool:
+        """Whether a step takes so little that it had better leave the other cores to its caller."""
+        return False
+
+    @property
     def converged(self) -> bool:
         """Whether the last step is as exact as it was asked to be: true where a solver does not iterate."""
         return True

@@ -27,20 +27,36 @@ class Springs(Solver):
         Seconds a frame.
     pinned : (n,) bool, optional
         Vertices that follow the reference exactly.
+    gravity
+        m/s²; a vertex then rests gravity / ks from its reference. It starts on its reference all the same.
 
     Raises
     ------
     ValueError
-        On shapes that do not fit, negative or non-finite constants, or a dt that is not positive.
+        On shapes that do not fit, negative or non-finite constants, a dt that is not positive, or where gravity acts on a vertex
+        that no spring holds.
     """
 
-    def __init__(self, stiffness: ArrayLike, damping: ArrayLike, dt: float, pinned: ArrayLike | None = None) -> None:
+    def __init__(
+        self,
+        stiffness: ArrayLike,
+        damping: ArrayLike,
+        dt: float,
+        pinned: ArrayLike | None = None,
+        *,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
         stiffness = array_checks.vector("stiffness", stiffness)
         damping = array_checks.vector("damping", damping)
         none = np.zeros(0, dtype=np.bool_)
         mask = none if pinned is None else array_checks.mask("pinned", pinned, len(stiffness))
         self._dt = float(dt)
-        super().__init__(_core.Springs(stiffness, damping, self._dt, mask))
+        super().__init__(_core.Springs(stiffness, damping, self._dt, mask, array_checks.vector3("gravity", gravity)))
+
+    @property
+    def is_quick(self) -> bool:
+        """Yes."""
+        return True
 
     def evaluate(self, fraction: float, reference: ArrayLike, next_reference: ArrayLike | None = None) -> FloatArray:
         """Positions (n, 3) at a share of the frame to come, on the curve that `step` would take; changes nothing."""

@@ -13,6 +13,7 @@ from followthrough.character import (
     BonePose,
     FloatArray,
     IntArray,
+    LearnedSprings,
     Paint,
     Pose,
     Surface,
@@ -39,6 +40,8 @@ class Volume:
         Which bones move a vertex of the volume; None where no armature does.
     stiffness, mass, pins : (n,) float64
         Painted values carried to the volume; `pins` includes the core around the bones.
+    learned : LearnedSprings or None
+        Learned springs carried to the volume, where most of what a vertex is carried by was learned.
     """
 
     surface: Surface
@@ -50,6 +53,7 @@ class Volume:
     stiffness: FloatArray
     mass: FloatArray
     pins: FloatArray
+    learned: LearnedSprings | None = None
 
     @property
     def pinned(self) -> NDArray[np.bool_]:
@@ -88,7 +92,26 @@ class Volume:
         )
 
 
-def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None = None) -> Volume:
+def make_tets(surface: Surface, settings: VolumeSettings) -> mesh.TetMesh:
+    """The tets of a character's volume; neither its rig nor what is painted has a say in them.
+
+    Raises
+    ------
+    ValueError
+        Where the surface is empty or not finite.
+    """
+    return mesh.tetrahedralize(
+        surface.rest_positions @ surface.object_scale.T,
+        surface.triangles,
+        cells=settings.cells,
+        split_parts=settings.split_parts,
+        method=settings.method,
+    )
+
+
+def build_volume(
+    surface: Surface, paint: Paint, settings: VolumeSettings | None = None, tet_mesh: mesh.TetMesh | None = None
+) -> Volume:
     """Make the volume of a character.
 
     Parameters
@@ -99,6 +122,8 @@ def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None
         Painted values of its vertices.
     settings
         Size and method.
+    tet_mesh
+        What `make_tets` gave for this surface and these settings, where the caller has that already.
 
     Raises
     ------
@@ -113,10 +138,13 @@ def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None
             raise ValueError(
                 f"paint.{name}: found shape {values.shape}, expected ({count},), one value a surface vertex"
             )
+    if paint.learned is not None and paint.learned.stiffness.shape != (count,):
+        raise ValueError(
+            f"paint.learned: found shape {paint.learned.stiffness.shape}, expected ({count},), one value a surface vertex"
+        )
     metres = surface.rest_positions @ surface.object_scale.T
-    tet_mesh = mesh.tetrahedralize(
-        metres, surface.triangles, cells=settings.cells, split_parts=settings.split_parts, method=settings.method
-    )
+    if tet_mesh is None:
+        tet_mesh = make_tets(surface, settings)
     transfer = mesh.SurfaceTransfer(metres, surface.triangles, tet_mesh)
     painted = np.clip(transfer(np.column_stack([paint.stiffness, paint.mass, paint.pins])), 0.0, 1.0)
     stiffness, mass, pins = painted.T.copy()
@@ -149,7 +177,24 @@ def build_volume(surface: Surface, paint: Paint, settings: VolumeSettings | None
         stiffness=stiffness,
         mass=mass,
         pins=pins,
+        learned=None if paint.learned is None else _carried(paint.learned, transfer),
     )
+
+
+def _carried(learned: LearnedSprings, transfer: mesh.SurfaceTransfer) -> LearnedSprings | None:
+    """Learned springs on the volume: means of logarithms over what is known; None where that is nothing."""
+    known = learned.known
+    if not known.any():
+        return None
+    logarithms = np.zeros((len(known), 4))
+    logarithms[known, 0] = 1.0
+    for column, values in enumerate((learned.stiffness, learned.damping, learned.painted_stiffness), 1):
+        logarithms[known, column] = np.log(values[known])
+    carried = transfer(logarithms)
+    there = carried[:, 0] > 0.5
+    share = np.where(there, carried[:, 0], 1.0)[:, None]
+    stiffness, damping, painted = np.where(there[:, None], np.exp(carried[:, 1:] / share), 0.0).T.copy()
+    return LearnedSprings(stiffness, damping, painted, learned.damping_ratio)
 
 
 def _transformed(points: FloatArray, matrix: FloatArray) -> FloatArray:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from followthrough.newton_weights import NewtonSchedule, guide_inputs
+
 Array = np.ndarray
 PERCEPTRONS = ("edge_mlp", "edge_mlp_2", "edge_mlp_3")
 
@@ -109,3 +111,35 @@ class PlainNetwork:
                 joined.append(evaluate(self.parameters, name, np.concatenate(edges, axis=1)).sum(axis=0))
             result[i] = u0[i] + evaluate(self.parameters, "instance_mlp", np.concatenate(joined))
         return result
+
+
+def random_newton_parameters(
+    seed: int, schedule: NewtonSchedule, widths: tuple[int, ...] = (12, 8)
+) -> dict[str, np.ndarray]:
+    """Random guides whose coefficients are near those of a half way start and of whole steps."""
+    random = np.random.default_rng(seed)
+    parameters = {}
+    for guide, size in schedule.guides().items():
+        inputs = guide_inputs(size)
+        for k, outputs in enumerate((*widths, size[0])):
+            gain = 0.05 if k == len(widths) else 1.0
+            parameters[f"{guide}.{k}.weight"] = (gain * random.normal(size=(outputs, inputs)) / np.sqrt(inputs)).astype(
+                np.float32
+            )
+            parameters[f"{guide}.{k}.bias"] = (0.1 * gain * random.normal(size=outputs)).astype(np.float32)
+            inputs = outputs
+        parameters[f"{guide}.{len(widths)}.bias"][0] += 0.5 if guide == "start" else 0.9
+    return parameters
+
+
+def guided_step(parameters: dict[str, np.ndarray], guide: str, vectors: np.ndarray, scalars: np.ndarray) -> np.ndarray:
+    """What a guide makes of vectors (f, v, 3) and numbers (f, k)."""
+    products = vectors @ vectors.transpose(0, 2, 1)
+    square = np.trace(products, axis1=1, axis2=2)[:, None] + 1e-18
+    pairs = products[:, *np.triu_indices(vectors.shape[1])]
+    h = np.concatenate([np.sign(pairs) * np.sqrt(np.abs(pairs) / square + 1e-9), scalars], axis=1)
+    depth = sum(name.startswith(f"{guide}.") and name.endswith("bias") for name in parameters)
+    for k in range(depth):
+        h = h @ parameters[f"{guide}.{k}.weight"].T + parameters[f"{guide}.{k}.bias"]
+        h = np.tanh(h) if k + 1 < depth else h
+    return np.einsum("iv,iva->ia", h, vectors)

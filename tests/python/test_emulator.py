@@ -11,11 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from followthrough import cli
+from followthrough import cli, emulator_weights
+from followthrough.controls import RelativeDamping
+from followthrough.elastic import ElasticBody, ImplicitEuler
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights, TrainedOn
 from followthrough.evaluation import evaluate
 from followthrough.sequences import Sequence
+from followthrough.settings import Settings, default_solver
 from followthrough.simulation import simulate
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -128,6 +131,74 @@ def test_history_that_is_known_is_where_the_run_continues(sequence: Sequence, we
     assert 0 < other.single_frame < other.rollout_all
 
 
+def test_weights_that_come_with_the_package_are_the_default(
+    sequence: Sequence,
+    weights: EmulatorWeights,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    given, output = tmp_path / "motion.npz", tmp_path / "out.npz"
+    sequence.save(given)
+    monkeypatch.setattr(emulator_weights, "SHIPPED", tmp_path / "emulator.npz")
+    assert default_solver() == Settings().solver == "springs"
+    assert cli.main(["rollout", str(given), "--quiet", "-o", str(output)]) == 2
+    assert "brings none for the emulator, expected a weights file" in capsys.readouterr().err
+    assert not output.exists()
+    weights.save(emulator_weights.SHIPPED)
+    assert default_solver() == Settings().solver == "emulator"
+    assert cli.main(["rollout", str(given), "--quiet", "-o", str(output)]) == 0
+    expected = simulate(sequence, Emulator.of_sequence(sequence, weights)).dynamic
+    np.testing.assert_array_equal(Sequence.load(output).dynamic, expected)
+
+
+def test_corrections_lead_from_the_network_to_the_true_motion(
+    sequence: Sequence, weights_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = tmp_path / "motion.npz"
+    body = ElasticBody.of_sequence(sequence)
+    simulate(sequence, ImplicitEuler(body, sequence.constrained, sequence.dt)).save(given)
+    errors = []
+    for corrections in (0, 1, 2):
+        command = ["evaluate", str(given), "--weights", str(weights_file), "--corrections", str(corrections)]
+        assert cli.main([*command, "--quiet", "--json"]) == 0
+        scores = json.loads(capsys.readouterr().out)
+        errors.append((scores["single_frame"], scores["rollout_all"]))
+    assert np.all(np.diff(errors, axis=0) < 0)
+    assert errors[1][1] < 0.1 * errors[0][1]
+    output = tmp_path / "out.npz"
+    assert (
+        cli.main(["rollout", str(given), "--weights", str(weights_file), "--corrections", "2", "-o", str(output)]) == 0
+    )
+    corrected, true = Sequence.load(output).dynamic, Sequence.load(given).dynamic
+    assert corrected is not None and true is not None
+    assert np.sqrt(np.mean((corrected - true)[1:] ** 2)) == pytest.approx(errors[-1][1])
+
+
+def test_amplitude_gravity_and_damping_on_the_command_line(
+    sequence: Sequence, weights: EmulatorWeights, weights_file: Path, tmp_path: Path
+) -> None:
+    given, output = tmp_path / "motion.npz", tmp_path / "out.npz"
+    sequence.save(given)
+
+    def rollout(*options: str) -> np.ndarray:
+        command = ["rollout", str(given), "--weights", str(weights_file), "--quiet", "-o", str(output)]
+        assert cli.main([*command, *options]) == 0
+        dynamic = Sequence.load(output).dynamic
+        assert dynamic is not None
+        return dynamic
+
+    reference, usual = sequence.reference, rollout()
+    np.testing.assert_array_equal(rollout("--amplitude", "0"), reference)
+    np.testing.assert_allclose(rollout("--amplitude", "2") - reference, 2 * (usual - reference), rtol=0, atol=1e-12)
+    heavy = Emulator.of_sequence(sequence, weights, gravity=(0, 1, -9.81))
+    np.testing.assert_array_equal(rollout("--gravity", "0", "1", "-9.81"), simulate(sequence, heavy).dynamic)
+    assert np.abs(simulate(sequence, heavy).dynamic - usual).max() > 1e-3
+    damped = RelativeDamping(Emulator.of_sequence(sequence, weights), 4.0, sequence.dt)
+    np.testing.assert_array_equal(rollout("--relative-damping", "4"), simulate(sequence, damped).dynamic)
+    assert np.abs(simulate(sequence, damped).dynamic - usual).max() > 1e-4
+
+
 def test_weights_files_keep_everything(weights: EmulatorWeights, tmp_path: Path) -> None:
     path = tmp_path / "weights.npz"
     trained = TrainedOn(edge_length=1.0, dt=0.5, density=2.0, stiffness_range=(0.5, 150.0))
@@ -209,13 +280,16 @@ def test_rollout_and_evaluate_on_the_command_line(
     assert "outside the 1.25 to 125" in capsys.readouterr().err
 
 
-def test_commands_without_or_with_bad_weights_say_so(
+def test_commands_with_bad_weights_say_so(
     sequence: Sequence, weights_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given, output = tmp_path / "motion.npz", tmp_path / "out.npz"
     sequence.save(given)
     for arguments, message in (
-        (["rollout", given, "-o", output], "--weights: found none"),
+        (["rollout", given, "--weights", weights_file, "--corrections", -1, "-o", output], "--corrections: found -1"),
+        (["rollout", given, "--weights", weights_file, "--amplitude", -1, "-o", output], "amplitude: found -1"),
+        (["rollout", given, "--weights", weights_file, "--relative-damping", -1, "-o", output], "rate: found -1"),
+        (["simulate", given, "--corrections", 1, "-o", output], "--corrections: found together with --solver springs"),
         (["evaluate", given, "--solver", "emulator"], "found no dynamic"),
         (["rollout", given, "--weights", given, "-o", output], "found rest_positions, expected only weights"),
         (["rollout", given, "--weights", weights_file, "--edge-length", -1, "-o", output], "edge_length: found -1"),

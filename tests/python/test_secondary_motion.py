@@ -2,12 +2,14 @@
 """A rigged character's frames, whatever the solver."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from followthrough.character import BonePose, Paint, Rig, Surface
+from followthrough.controls import Amplified
 from followthrough.elastic import ElasticBody, ImplicitEuler
 from followthrough.secondary_motion import RiggedMotion, make_springs
 from followthrough.settings import SpringSettings, VolumeSettings
@@ -66,3 +68,22 @@ def test_the_native_pass_drives_any_solver(volume: Volume, name: str) -> None:
             made.offsets @ frames[frame].bone_matrices[0, :3, :3].T, expected, rtol=0, atol=1e-10
         )
     assert made.largest_displacement > 1e-3
+
+
+@pytest.mark.parametrize("size", [1.0, 100.0])
+def test_springs_sag_by_their_weight_over_their_stiffness(volume: Volume, size: float) -> None:
+    large = replace(volume, surface=replace(volume.surface, character_size=size), mass=np.full_like(volume.mass, 0.75))
+    springs = make_springs(large, SpringSettings(stiffness_range=(400.0, 400.0), gravity=2.0, damping_ratio=1.0), DT)
+    reference = size * volume.tet_mesh.vertices
+    springs.reset(reference)
+    for _ in range(100):
+        positions = springs.step(reference, reference)
+    sag = (positions - reference) / size
+    # Twice the mass on the same spring sags twice as far; a soft pin of p leaves 1 - p.
+    assert sag[:, 2] == pytest.approx(-2.0 * 2.0 / 400.0 * (1.0 - volume.pins), rel=1e-6)
+    assert not sag[volume.pinned].any() and not np.abs(sag[:, :2]).max() > 1e-12
+
+
+def test_springs_leave_the_other_cores_to_their_caller_and_flesh_does_not(volume: Volume) -> None:
+    for name, solver in solvers(volume).items():
+        assert solver.is_quick == Amplified(solver, 2.0).is_quick == (name == "springs")

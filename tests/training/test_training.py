@@ -2,6 +2,7 @@
 """Training runs on a small bar: what they learn, and that a killed one continues to the same end."""
 
 import itertools
+import json
 import math
 import signal
 import subprocess
@@ -63,7 +64,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def data(folder: Path) -> DataSet:
-    return DataSet.load(folder, TrainedOn(), rings=1)
+    return DataSet.load([folder], TrainedOn(), rings=1)
 
 
 def test_a_network_learns_and_its_weights_run(data: DataSet) -> None:
@@ -126,8 +127,10 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(data: DataSet, tmp_path
 
 
 def config(path: Path, **changes: object) -> Path:
-    values = {**SMALL, "warmup_steps": 5, **changes}
-    path.write_text("\n".join(f"{key} = {list(v) if isinstance(v, tuple) else v}" for key, v in values.items()))
+    values = {"architecture": "patch", **SMALL, "warmup_steps": 5, **changes}
+    path.write_text(
+        "\n".join(f"{key} = {json.dumps(list(v) if isinstance(v, tuple) else v)}" for key, v in values.items())
+    )
     return path
 
 
@@ -167,6 +170,7 @@ def test_the_command_trains_and_continues_after_a_kill(
 
 def test_settings_that_do_not_fit_are_refused(tmp_path: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for changes, message in (
+        ({"architecture": "mlp"}, "architecture: found 'mlp', expected guided-newton or patch"),
         ({"colour": 3}, "found unknown colour"),
         ({"steps": 1.5}, "steps: found 1.5"),
         ({"rings": 4}, "rings: found 4, expected 1 to 3"),

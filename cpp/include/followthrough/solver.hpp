@@ -39,6 +39,10 @@ class Solver {
 
   virtual SolverState state() const = 0;
 
+  /// @brief How many of the state's first arrays are positions of the last frames, the newest first, and hold all of its motion:
+  ///   whoever moves them moves the solver. 1: the newest alone, and velocities elsewhere.
+  virtual std::size_t frames_in_state() const { return 1; }
+
   /// @throws InvalidInput where the state is not one of this solver and size
   virtual void restore(const SolverState& state) = 0;
 };

@@ -73,7 +73,8 @@ struct ImplicitEuler::Parts {
 // One step while it is being solved.
 class ImplicitEuler::Step {
  public:
-  Step(Parts& parts, ConstPositions reference) : p_(parts), reference_(reference) {
+  Step(Parts& parts, ConstPositions reference, const ConstPositions* prediction)
+      : p_(parts), reference_(reference), prediction_(prediction) {
     const double square = p_.dt * p_.dt;
     inertial_ = 2 * p_.positions - p_.before;
     inertial_.rowwise() += square * p_.forces.gravity.transpose();
@@ -102,6 +103,7 @@ class ImplicitEuler::Step {
   bool factored_ = false, iterative_ = true;
   int linear_iterations_ = 0;  // of the last solve
   ConstPositions reference_;
+  const ConstPositions* prediction_;  // null: none
   Positions inertial_;
 };
 
@@ -173,9 +175,9 @@ Trial ImplicitEuler::Step::evaluate(Positions positions) const {
   return trial;
 }
 
-// The best of three: the last offset from the reference, turned as the reference turns; between it and where inertia leads, which
-// is where the cubic through the potential at the one and half way to the other is least; and the reference itself, for offsets
-// that have nothing to say any more.
+// A prediction, where there is one and it is no worse than the first of the others. Else the best of three: the last offset from
+// the reference, turned as the reference turns; between it and where inertia leads, which is where the cubic through the potential
+// at the one and half way to the other is least; and the reference itself, for offsets that have nothing to say any more.
 Trial ImplicitEuler::Step::start() const {
   Positions offset = p_.positions - p_.reference;
   p_.rotations.turn(p_.reference, reference_, offset);
@@ -187,6 +189,12 @@ Trial ImplicitEuler::Step::start() const {
     half_way.segment<3>(3 * static_cast<Eigen::Index>(row)) = 0.5 * (inertial_.row(v) - turned.row(v)).transpose();
   }
   Trial best = evaluate(std::move(turned));
+  if (prediction_) {
+    Positions predicted = reference_;
+    for (const Index v : p_.free) predicted.row(v) = prediction_->row(v);
+    Trial trial = evaluate(std::move(predicted));
+    if (trial.finite() && !(best.energy < trial.energy)) return trial;
+  }
   const auto consider = [&](Trial trial) {
     if (trial.finite() && !(best.energy <= trial.energy)) best = std::move(trial);
   };
@@ -380,13 +388,20 @@ void ImplicitEuler::reset(ConstPositions reference) {
   parts_->report = {};
 }
 
-const Positions& ImplicitEuler::step(ConstPositions reference, const Positions*) {
+const Positions& ImplicitEuler::step(ConstPositions reference, const Positions*) { return take_step(reference, nullptr); }
+
+const Positions& ImplicitEuler::step_from(ConstPositions prediction, ConstPositions reference) {
+  require_rows("prediction", prediction.rows(), vertex_count());
+  return take_step(reference, &prediction);
+}
+
+const Positions& ImplicitEuler::take_step(ConstPositions reference, const ConstPositions* prediction) {
   if (parts_->frames < 0) {
     throw InvalidInput("reference", "found a step before the first reset, expected reset to be called with the first frame");
   }
   require_rows("reference", reference.rows(), vertex_count());
   require_finite("reference", reference);
-  Positions after = Step(*parts_, reference).solve();
+  Positions after = Step(*parts_, reference, prediction).solve();
   if (!after.allFinite()) after = reference;
   parts_->before = std::move(parts_->positions);
   parts_->positions = std::move(after);

@@ -92,6 +92,7 @@ struct Emulator::Parts {
   std::vector<bool> constrained;
   std::vector<Index> constrained_vertices;
   double edge_length, scale;  // scale: the network's metres a metre of the scene
+  Eigen::RowVector3d fall;    // h^2 g / 2, m: how far a frame that falls gets in one step
   Vector stiffness;
   PackedNetwork network;
   Patches patches;
@@ -109,6 +110,7 @@ struct Emulator::Parts {
 
 Emulator::Parts::Parts(const EmulatedBody& body, const PatchNetwork& weights, const NetworkUnits& units)
     : count(body.rest_positions.rows()), rest(body.rest_positions), network((require_network(weights), weights)) {
+  require_finite("gravity", body.gravity.transpose());
   require_finite("rest_positions", rest);
   require_indices("tets", body.tets, count);
   require_rows("constrained", body.constrained.size(), count);
@@ -127,6 +129,7 @@ Emulator::Parts::Parts(const EmulatedBody& body, const PatchNetwork& weights, co
     throw InvalidInput("tets", "found none with a volume, expected a mesh of tets");
   }
   scale = units.edge_length / edge_length;
+  fall = 0.5 * body.dt * body.dt * body.gravity.transpose();
 
   // Masses scale by one factor, so that the scene's mean density becomes the network's: backward Euler knows only ratios of mass.
   Vector mass = Vector::Zero(count);
@@ -192,8 +195,11 @@ void Emulator::Parts::gather_features(const ConstPositions& reference, Eigen::In
     const bool ahead = !sees_reference && constrained[static_cast<std::size_t>(v)];
     float* own = features.data() + static_cast<std::size_t>(row) * static_cast<std::size_t>(network.feature_count());
     for (Eigen::Index axis = 0; axis < 3; ++axis) {
-      const double next = reference(v, axis), here = reference_now(v, axis), past = reference_before(v, axis);
-      const double u0 = ahead ? next : now(v, axis), u1 = ahead ? here : before(v, axis), u2 = ahead ? past : before_that(v, axis);
+      // Seen from a frame that falls.
+      const double next = reference(v, axis) - fall[axis], here = reference_now(v, axis),
+                   past = reference_before(v, axis) - fall[axis];
+      const double u0 = ahead ? next : now(v, axis), u1 = ahead ? here : before(v, axis) - fall[axis];
+      const double u2 = ahead ? past : before_that(v, axis) - 4.0 * fall[axis];
       const double origin = sees_reference ? here : u0;
       origins[static_cast<std::size_t>(3 * row + axis)] = scale * (origin - rest(v, axis));
       if (sees_reference) {
@@ -275,7 +281,8 @@ const Positions& Emulator::step(ConstPositions reference, const Positions* /*nex
   for (std::size_t i = 0; i < p.patches.free.size(); ++i) {
     const Index v = p.patches.vertices[static_cast<std::size_t>(p.patches.free[i])];
     for (Eigen::Index axis = 0; axis < 3; ++axis) {
-      next(v, axis) = p.now(v, axis) + static_cast<double>(p.changes[3 * i + static_cast<std::size_t>(axis)]) / p.scale;
+      next(v, axis) =
+          p.now(v, axis) + static_cast<double>(p.changes[3 * i + static_cast<std::size_t>(axis)]) / p.scale + p.fall[axis];
     }
   }
   for (const Index v : p.constrained_vertices) next.row(v) = reference.row(v);

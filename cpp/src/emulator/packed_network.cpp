@@ -2,14 +2,9 @@
 #include "emulator/packed_network.hpp"
 
 #include <algorithm>
-#include <new>
 
 namespace followthrough {
 namespace {
-
-constexpr std::align_val_t cache_line{64};
-
-int padded(Eigen::Index width) { return static_cast<int>((width + kPanel - 1) / kPanel) * kPanel; }
 
 Eigen::MatrixXd weight_of(const DenseLayer& layer) { return layer.weight.cast<double>(); }
 
@@ -19,31 +14,10 @@ Eigen::VectorXd bias_of(const DenseLayer& layer) {
 
 }  // namespace
 
-void AlignedFloats::Free::operator()(float* data) const { ::operator delete[](data, cache_line); }
-
-AlignedFloats::AlignedFloats(std::size_t count) : data_(static_cast<float*>(::operator new[](count * sizeof(float), cache_line))) {
-  std::fill_n(data_.get(), count, 0.0f);
-}
-
-const float* PackedNetwork::keep(const std::vector<float>& numbers) {
-  numbers_.emplace_back(numbers.size());
-  std::copy(numbers.begin(), numbers.end(), numbers_.back().data());
-  return numbers_.back().data();
-}
-
 DenseKernel PackedNetwork::pack(const Eigen::MatrixXd& weight, const Eigen::VectorXd& bias) {
-  const Eigen::Index inputs = weight.cols();
-  const int outputs = padded(weight.rows());
-  std::vector<float> panels(static_cast<std::size_t>(outputs * inputs), 0.0f), biases(static_cast<std::size_t>(outputs), 0.0f);
-  for (Eigen::Index out = 0; out < weight.rows(); ++out) {
-    biases[static_cast<std::size_t>(out)] = static_cast<float>(bias[out]);
-    for (Eigen::Index in = 0; in < inputs; ++in) {
-      panels[static_cast<std::size_t>(((out / kPanel) * inputs + in) * kPanel + out % kPanel)] =
-          static_cast<float>(weight(out, in));
-    }
-  }
-  widest_ = std::max(widest_, outputs);
-  return {keep(panels), keep(biases), static_cast<std::int32_t>(inputs), outputs};
+  const DenseKernel layer = layers_.pack(weight, bias);
+  widest_ = std::max(widest_, layer.outputs);
+  return layer;
 }
 
 // The layers that end in a tanh, from `first` on.
@@ -78,7 +52,7 @@ void PackedNetwork::pack_ring(const Perceptron& perceptron) {
       offsets[static_cast<std::size_t>(axis * ring.centre.outputs + out)] = static_cast<float>(offset(out, axis));
     }
   }
-  ring.offset = keep(offsets);
+  ring.offset = layers_.keep(offsets);
   hidden_.push_back(pack_hidden(perceptron, 1));
   ring.hidden_count = static_cast<std::int32_t>(hidden_.back().size());
   double cost = 3.0 * static_cast<double>(width);
@@ -99,7 +73,7 @@ PackedNetwork::PackedNetwork(const PatchNetwork& network) : motion_count_(networ
     pack_ring(perceptron);
   }
   // A joined row: the inertia's last hidden layer, the sums of the rings' last hidden layers, the rings' numbers of neighbours.
-  Eigen::Index column = padded(inertia_.back().outputs);
+  Eigen::Index column = padded_width(inertia_.back().outputs);
   for (std::size_t r = 0; r < rings_.size(); ++r) {
     rings_[r].column = static_cast<std::int32_t>(column);
     column += rings_[r].hidden_count ? hidden_[r].back().outputs : rings_[r].centre.outputs;
@@ -121,7 +95,7 @@ PackedNetwork::PackedNetwork(const PatchNetwork& network) : motion_count_(networ
     joined.col(rings_[r].degree_column) = fold(last, input, rings_[r].column);
     input += last.weight.rows();
   }
-  joined_width_ = padded(joined.cols());
+  joined_width_ = padded_width(joined.cols());
   displacement_.push_back(pack(joined, bias));
   for (std::size_t k = 1; k < network.displacement.size(); ++k) {
     displacement_.push_back(pack(weight_of(network.displacement[k]), bias_of(network.displacement[k])));
@@ -133,7 +107,8 @@ PackedNetwork::PackedNetwork(const PatchNetwork& network) : motion_count_(networ
 }
 
 std::size_t PackedNetwork::scratch_size() const {
-  return static_cast<std::size_t>(kBlockRows) * static_cast<std::size_t>(3 * widest_ + joined_width_ + padded(feature_count()));
+  return static_cast<std::size_t>(kBlockRows) *
+         static_cast<std::size_t>(3 * widest_ + joined_width_ + padded_width(feature_count()));
 }
 
 PatchFrame PackedNetwork::frame() const {

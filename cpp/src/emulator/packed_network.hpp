@@ -5,27 +5,13 @@
 #pragma once
 
 #include <cstddef>
-#include <memory>
 #include <vector>
 
+#include "emulator/packed_layers.hpp"
 #include "emulator/patch_kernel.hpp"
 #include "followthrough/emulator/patch_network.hpp"
 
 namespace followthrough {
-
-/// Floats that start at a cache line.
-class AlignedFloats {
- public:
-  AlignedFloats() = default;
-  explicit AlignedFloats(std::size_t count);
-  float* data() const { return data_.get(); }
-
- private:
-  struct Free {
-    void operator()(float* data) const;
-  };
-  std::unique_ptr<float[], Free> data_;
-};
 
 /// Features of a vertex are its own motion (five differences of 3 numbers, or two where the network does not see the reference),
 /// then k, m, k/m, then 1 where it is constrained.
@@ -48,13 +34,12 @@ class PackedNetwork {
   double edge_cost(std::size_t ring) const { return edge_costs_[ring]; }
 
  private:
-  const float* keep(const std::vector<float>& numbers);
   DenseKernel pack(const Eigen::MatrixXd& weight, const Eigen::VectorXd& bias);
   void pack_ring(const Perceptron& perceptron);
   std::vector<DenseKernel> pack_hidden(const Perceptron& perceptron, std::size_t first);
 
   int motion_count_;
-  std::vector<AlignedFloats> numbers_;
+  PackedLayers layers_;
   std::vector<DenseKernel> inertia_, displacement_;
   std::vector<std::vector<DenseKernel>> hidden_;  // of the rings
   std::vector<RingKernel> rings_;

@@ -18,7 +18,7 @@ inline constexpr std::int32_t kBlockRows = 24;
 /// A linear layer, packed: weights of outputs [16 p, 16 p + 16) are one panel, input by input.
 struct DenseKernel {
   const float* weights;  ///< (outputs / 16, inputs, 16)
-  const float* bias;     ///< (outputs,)
+  const float* bias;     ///< (outputs,), or null: added to what is there
   std::int32_t inputs;
   std::int32_t outputs;  ///< a multiple of kPanel
 };

@@ -4,6 +4,7 @@
 #include <omp.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <condition_variable>
@@ -16,6 +17,8 @@
 #include <Eigen/LU>
 
 #include "followthrough/errors.hpp"
+#include "instruction_set.hpp"
+#include "motion/surface_offsets.hpp"
 #include "skinning/bone_blend.hpp"
 #include "skinning/stretch_solve.hpp"
 #include "worthwhile_threads.hpp"
@@ -26,6 +29,106 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::RowVector3d;
 using Eigen::Vector3d;
+
+using RowMatrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+
+/// What a vertex takes in the linear kernel, roughly, beside its places (see worthwhile_threads).
+constexpr double linear_offset_nanoseconds = 10;
+
+auto surface_kernel() {
+  switch (instruction_set()) {
+#ifdef FOLLOWTHROUGH_HAS_avx512
+    case InstructionSet::avx512:
+      return avx512::surface_offsets;
+#endif
+#ifdef FOLLOWTHROUGH_HAS_avx2
+    case InstructionSet::avx2:
+      return avx2::surface_offsets;
+#endif
+    default:
+      return baseline::surface_offsets;
+  }
+}
+
+/// Writes the offset that shows a vertex's displacement; returns false where that cannot be done with finite numbers.
+bool offset_of(const BoneBlend& blend, Eigen::Index vertex, double minimum_stretch, const Matrix3d& to_world,
+               const Matrix3d& to_object, MotionFrame& frame, double& residual_squared) {
+  bool valid = true;
+  const Matrix3d jacobian = blend.vertex_transform(vertex, valid).linear;
+  const Vector3d wanted = to_object * frame.displacements.row(vertex).transpose();
+  const Vector3d offset = stretch_solve(jacobian, wanted, minimum_stretch);
+  frame.offsets.row(vertex) = offset;
+  residual_squared = std::max(residual_squared, (to_world * (wanted - jacobian * offset)).squaredNorm());
+  return valid && offset.allFinite();
+}
+
+SurfaceShare linear_offsets(const RiggedCharacter& character, const Tets& corners, const BoneBlend& blend, const BoneRows& bones,
+                            const Positions& moved, const Matrix3d& to_world, const Matrix3d& to_object, MotionFrame& frame) {
+  Weights4 padded(moved.rows(), 4);
+  padded.leftCols<3>() = moved;
+  padded.col(3).setZero();
+  SurfaceFrame surface{padded.data(),
+                       corners.data(),
+                       character.embedding.weights.data(),
+                       bones,
+                       least_total_weight,
+                       {},
+                       {},
+                       character.minimum_stretch,
+                       frame.displacements.data(),
+                       frame.offsets.data()};
+  Eigen::Map<RowMatrix3>(surface.to_object) = to_object;
+  Eigen::Map<RowMatrix3>(surface.to_world) = to_world;
+  const auto kernel = surface_kernel();
+
+  constexpr Eigen::Index share = 1024;  // vertices
+  const Eigen::Index count = blend.vertex_count();
+  const Eigen::Index shares = (count + share - 1) / share;
+  int unusable = 0;
+  double displacement_squared = 0.0;
+  double residual_squared = 0.0;
+  const int threads = worthwhile_threads(count, linear_offset_nanoseconds + 2.0 * static_cast<double>(bones.places));
+#pragma omp parallel for schedule(static) num_threads(threads) reduction(| : unusable) \
+    reduction(max : displacement_squared, residual_squared)
+  for (Eigen::Index index = 0; index < shares; ++index) {
+    std::array<Index, share> flattened;
+    const SurfaceShare done = kernel(surface, index * share, std::min((index + 1) * share, count), flattened.data());
+    unusable |= !done.usable;
+    displacement_squared = std::max(displacement_squared, done.displacement_squared);
+    residual_squared = std::max(residual_squared, done.residual_squared);
+    for (std::int64_t k = 0; k < done.flattened; ++k) {
+      const Eigen::Index vertex = flattened[static_cast<std::size_t>(k)];
+      unusable |= !offset_of(blend, vertex, character.minimum_stretch, to_world, to_object, frame, residual_squared);
+    }
+  }
+  return {unusable == 0, displacement_squared, residual_squared};
+}
+
+SurfaceShare any_offsets(const RiggedCharacter& character, const Tets& corners, const BoneBlend& blend, const Positions& moved,
+                         const Matrix3d& to_world, const Matrix3d& to_object, MotionFrame& frame) {
+  int unusable = 0;
+  double displacement_squared = 0.0;
+  double residual_squared = 0.0;
+  const Eigen::Index count = blend.vertex_count();
+  const int threads = worthwhile_threads(count, 10 + blend.nanoseconds() + stretch_solve_nanoseconds);
+#pragma omp parallel for schedule(static) num_threads(threads) reduction(| : unusable) \
+    reduction(max : displacement_squared, residual_squared)
+  for (Eigen::Index vertex = 0; vertex < count; ++vertex) {
+    const auto tet = corners.row(vertex);
+    const auto weights = character.embedding.weights.row(vertex);
+    const RowVector3d displacement = weights[0] * moved.row(tet[0]) + weights[1] * moved.row(tet[1]) +
+                                     weights[2] * moved.row(tet[2]) + weights[3] * moved.row(tet[3]);
+    frame.displacements.row(vertex) = displacement;
+    const double length_squared = displacement.squaredNorm();
+    if (length_squared == 0.0) {  // pinned: most of a character
+      frame.offsets.row(vertex).setZero();
+      continue;
+    }
+    displacement_squared = std::max(displacement_squared, length_squared);
+    unusable |= !offset_of(blend, vertex, character.minimum_stretch, to_world, to_object, frame, residual_squared);
+  }
+  return {unusable == 0, displacement_squared, residual_squared};
+}
 
 bool same(const RigPose& a, const RigPose& b) {
   return a.bone_matrices.rows() == b.bone_matrices.rows() && a.bone_matrices == b.bone_matrices && a.armature == b.armature &&
@@ -121,6 +224,9 @@ RiggedMotion::RiggedMotion(RiggedCharacter character, Solver& solver, int thread
   require_rows("embedding_weights", character_.embedding.weights.rows(), surface);
   require_rows("surface_bones", character_.surface_bones.rows(), surface);
   require_rows("surface_weights", character_.surface_weights.rows(), surface);
+  corners_.resize(surface, 4);
+  for (Eigen::Index vertex = 0; vertex < surface; ++vertex)
+    corners_.row(vertex) = character_.tets.row(character_.embedding.tets[vertex]);
   if (!(std::isfinite(character_.minimum_stretch) && character_.minimum_stretch > 0.0)) {
     throw InvalidInput("minimum_stretch", "expected a finite number above 0");
   }
@@ -160,38 +266,18 @@ MotionFrame RiggedMotion::step(const RigPose& pose, const RigPose* next) {
                         {pose.bone_matrices, character_.bone_rest_matrices, pose.armature}, character_.skinning);
   const Eigen::Index count = blend.vertex_count();
   MotionFrame frame{Positions(count, 3), Positions(count, 3)};
-  int unusable = 0;
-  double displacement_squared = 0.0;
-  double residual_squared = 0.0;
-  const int threads = worthwhile_threads(count, 10 + blend.nanoseconds() + stretch_solve_nanoseconds);
-#pragma omp parallel for schedule(static) num_threads(threads) reduction(| : unusable) \
-    reduction(max : displacement_squared, residual_squared)
-  for (Eigen::Index vertex = 0; vertex < count; ++vertex) {
-    const auto tet = character_.tets.row(character_.embedding.tets[vertex]);
-    const auto weights = character_.embedding.weights.row(vertex);
-    const RowVector3d displacement = weights[0] * moved.row(tet[0]) + weights[1] * moved.row(tet[1]) +
-                                     weights[2] * moved.row(tet[2]) + weights[3] * moved.row(tet[3]);
-    frame.displacements.row(vertex) = displacement;
-    const double length_squared = displacement.squaredNorm();
-    if (length_squared == 0.0) {  // pinned: most of a character
-      frame.offsets.row(vertex).setZero();
-      continue;
-    }
-    bool valid = true;
-    const Matrix3d jacobian = blend.vertex_transform(vertex, valid).linear;
-    const Vector3d wanted = to_object * displacement.transpose();
-    const Vector3d offset = stretch_solve(jacobian, wanted, character_.minimum_stretch);
-    frame.offsets.row(vertex) = offset;
-    unusable |= !valid || !offset.allFinite();
-    displacement_squared = std::max(displacement_squared, length_squared);
-    residual_squared = std::max(residual_squared, (to_world * (wanted - jacobian * offset)).squaredNorm());
+  SurfaceShare found;
+  if (const std::optional<BoneRows> bones = blend.linear_rows()) {
+    found = linear_offsets(character_, corners_, blend, *bones, moved, to_world, to_object, frame);
+  } else {
+    found = any_offsets(character_, corners_, blend, moved, to_world, to_object, frame);
   }
-  if (unusable || !std::isfinite(displacement_squared)) {
+  if (!found.usable || !std::isfinite(found.displacement_squared)) {
     blend.require_weights();
     throw InvalidInput("pose", "the motion is no longer finite");
   }
-  frame.largest_displacement = std::sqrt(displacement_squared);
-  frame.largest_residual = std::sqrt(residual_squared);
+  frame.largest_displacement = std::sqrt(found.displacement_squared);
+  frame.largest_residual = std::sqrt(found.residual_squared);
   return frame;
 }
 

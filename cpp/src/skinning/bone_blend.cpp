@@ -163,6 +163,13 @@ double BoneBlend::sum_rows(Eigen::Index vertex, double* sum, bool& valid) const 
                    sum, valid);
 }
 
+std::optional<BoneRows> BoneBlend::linear_rows() const {
+  const Eigen::Index places = weights_.weights.cols();
+  const bool dense = vertex_count() < 2 || (weights_.indices.outerStride() == places && weights_.weights.outerStride() == places);
+  if (skinning_ != Skinning::linear || !dense) return std::nullopt;
+  return BoneRows{table_.data(), bone_count_, weights_.indices.data(), weights_.weights.data(), places};
+}
+
 VertexTransform BoneBlend::linear_transform(Eigen::Index vertex, bool& valid) const {
   LinearRow sum;
   const double total = sum_rows(vertex, sum.data(), valid);

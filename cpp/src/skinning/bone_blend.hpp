@@ -3,6 +3,8 @@
 /// One pose, prepared for blending: whatever depends on a bone alone is computed once, so that a vertex only sums table rows.
 #pragma once
 
+#include <optional>
+
 #include <Eigen/Geometry>
 
 #include "followthrough/skinning/skinning.hpp"
@@ -35,6 +37,10 @@ class BoneBlend {
   VertexTransform vertex_transform(Eigen::Index vertex, bool& valid) const {
     return skinning_ == Skinning::linear ? linear_transform(vertex, valid) : dual_quaternion_transform(vertex, valid);
   }
+
+  /// @return the table of a linear blend and where the first vertex hangs on it, or nothing for dual quaternions. Valid as long as
+  ///   this and the weights are
+  std::optional<BoneRows> linear_rows() const;
 
   /// @throws InvalidInput naming the first vertex whose indices or weights cannot be used
   void require_weights() const;

@@ -2,6 +2,7 @@
 #include "followthrough/springs/springs.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <string>
 
@@ -97,9 +98,36 @@ class DenseRows {
   const double* data_;
 };
 
+// Vertices often share their constants: all of a character that is not painted, all stiff ones of a fit. Those met last are kept.
+class RecentCoefficients {
+ public:
+  explicit RecentCoefficients(double dt) : dt_(dt) {}
+  const SpringCoefficients& of(double stiffness, double damping) {
+    for (const Entry& entry : entries_) {
+      if (entry.known && entry.stiffness == stiffness && entry.damping == damping) {
+        return entry.coefficients;
+      }
+    }
+    Entry& entry = entries_[oldest_];
+    oldest_ = (oldest_ + 1) % entries_.size();
+    entry = {true, stiffness, damping, spring_coefficients(stiffness, damping, dt_)};
+    return entry.coefficients;
+  }
+
+ private:
+  struct Entry {
+    bool known;
+    double stiffness, damping;
+    SpringCoefficients coefficients;
+  };
+  double dt_;
+  std::array<Entry, 4> entries_{};
+  std::size_t oldest_ = 0;
+};
+
 }  // namespace
 
-Springs::Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMask pinned)
+Springs::Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMask pinned, const Eigen::Vector3d& gravity)
     : stiffness_(stiffness), damping_(damping), dt_(dt) {
   if (!(std::isfinite(dt) && dt > 0.0)) {
     throw InvalidInput("dt", "found " + std::to_string(dt) + ", expected a positive number of seconds");
@@ -116,15 +144,33 @@ Springs::Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMas
       }
     }
   }
+  require_finite("gravity", gravity.transpose());
+  if (!gravity.isZero(0.0)) {
+    sag_.setZero(count, 3);
+    auto pin = pinned_.begin();
+    for (Eigen::Index v = 0; v < count; ++v) {
+      if (pin != pinned_.end() && *pin == v) {
+        ++pin;
+        continue;
+      }
+      if (stiffness_[v] == 0.0) {
+        throw InvalidInput("gravity", "found some, and a stiffness of 0 at vertex " + std::to_string(v) +
+                                          ", expected springs that hold every vertex (it would fall for ever)");
+      }
+      sag_.row(v) = gravity.transpose() / stiffness_[v];
+    }
+    require_finite("gravity", sag_);
+  }
   factors_.setZero((count + factor_group - 1) / factor_group * factor_count, factor_group);
   for_blocks(count, coefficients_cost, [&](Eigen::Index first, Eigen::Index last) {
     auto pin = std::lower_bound(pinned_.begin(), pinned_.end(), first);
+    RecentCoefficients coefficients(dt_);
     for (Eigen::Index v = first; v < last; ++v) {
       if (pin != pinned_.end() && *pin == v) {
         ++pin;
         continue;  // all zero
       }
-      const SpringCoefficients k = spring_coefficients(stiffness_[v], damping_[v], dt_);
+      const SpringCoefficients& k = coefficients.of(stiffness_[v], damping_[v]);
       factors_.block<factor_count, 1>(v / factor_group * factor_count, v % factor_group) << k.decay, k.impulse, k.impulse_slope,
           k.restoring, k.acceleration, 3.0 * k.acceleration - 6.0 * k.acceleration_slope;
     }
@@ -179,7 +225,10 @@ const Positions& Springs::step(ConstPositions reference, const Positions* next_r
         frame.velocities[i] = (frame.end[i] - frame.start[i]) / dt_;
       }
     }
+    const bool sags = sag_.rows() > 0;
+    if (sags) positions_.middleRows(first, last - first) -= sag_.middleRows(first, last - first);
     springs_step(frame, first, last);
+    if (sags) positions_.middleRows(first, last - first) += sag_.middleRows(first, last - first);
     const auto pin = std::lower_bound(pinned_.begin(), pinned_.end(), first);
     for (auto p = pin; p != pinned_.end() && *p < last; ++p) {
       for (Eigen::Index i = 3 * Eigen::Index{*p}; i < 3 * Eigen::Index{*p} + 3; ++i) {
@@ -221,8 +270,9 @@ Positions Springs::evaluate(double fraction, ConstPositions reference, const Pos
         continue;
       }
       const Eigen::Vector3d velocity = frames_ == 0 ? start_velocity : Eigen::Vector3d(velocities_.row(v).transpose());
-      const Particle particle{positions_.row(v).transpose(), velocity};
-      result.row(v) = advance(particle, target, 0.0, fraction * dt_, stiffness_[v], damping_[v]).position.transpose();
+      const Eigen::Vector3d sag = sag_.rows() > 0 ? Eigen::Vector3d(sag_.row(v)) : Eigen::Vector3d::Zero();
+      const Particle particle{positions_.row(v).transpose() - sag, velocity};
+      result.row(v) = (advance(particle, target, 0.0, fraction * dt_, stiffness_[v], damping_[v]).position + sag).transpose();
     }
   });
   return result;

@@ -15,9 +15,16 @@ from numpy.typing import ArrayLike
 
 from followthrough.benchmarking.scene import Scene
 from followthrough.character import FloatArray
-from followthrough.elastic import QUALITIES, CentralDifferences, ImplicitEuler, MaterialName, Quality
+from followthrough.elastic import (
+    QUALITIES,
+    CentralDifferences,
+    ImplicitEuler,
+    MaterialName,
+    PredictorCorrector,
+    Quality,
+)
 from followthrough.emulator import Emulator
-from followthrough.emulator_weights import EmulatorWeights
+from followthrough.emulator_weights import EmulatorWeights, are_shipped
 from followthrough.quasistatic import OverQuasistatic, Quasistatic
 from followthrough.simulation import uniform_constants
 from followthrough.solver import Solver, SolverState
@@ -118,6 +125,11 @@ def _newton_work(solver: ImplicitEuler) -> Mapping[str, float]:
     return {"Newton": last.iterations, "CG": last.linear_iterations, "unconverged": not last.converged}
 
 
+def _correction_work(solver: PredictorCorrector) -> Mapping[str, float]:
+    last = solver.last_step
+    return {"Newton": last.iterations, "CG": last.linear_iterations}
+
+
 def _central_differences(substeps: int | None) -> Callable[[Scene], Solver]:
     return lambda scene: CentralDifferences(
         scene.body(), scene.sequence.constrained, scene.sequence.dt, substeps=substeps
@@ -143,6 +155,36 @@ def _elastic(quality: Quality, material: MaterialName) -> Method:
     )
 
 
+def _emulator(weights: Callable[[], EmulatorWeights], corrections: int = 0) -> Callable[[Scene], Solver]:
+    def make(scene: Scene) -> Solver:
+        sequence = scene.sequence
+        predictor = Emulator.of_sequence(sequence, weights(), edge_length=scene.edge)
+        if not corrections:
+            return predictor
+        corrector = ImplicitEuler(
+            scene.body(), sequence.constrained, sequence.dt, quality="fine", most_iterations=corrections
+        )
+        return PredictorCorrector(predictor, corrector)
+
+    return make
+
+
+def _shipped_weights() -> EmulatorWeights:
+    if not are_shipped():
+        raise MethodUnavailableError("this version brings no weights for it (--weights measures those of a file)")
+    return EmulatorWeights.shipped()
+
+
+def _shipped_emulator(corrections: int) -> Method:
+    what = f"followed by at most {corrections} iteration{'s' if corrections > 1 else ''} of the true solver"
+    return Method(
+        f"emulator/{corrections}",
+        f"the network, {what if corrections else 'alone'}",
+        _emulator(_shipped_weights, corrections),
+        _correction_work if corrections else lambda solver: {},
+    )
+
+
 METHODS: tuple[Method, ...] = (
     Method("skinning", "no secondary motion", lambda scene: SkinningAlone()),
     Method("springs", "zero-restlength springs, default constants", _springs),
@@ -152,6 +194,7 @@ METHODS: tuple[Method, ...] = (
         "springs that follow the static equilibria",
         _over_quasistatic(True),
     ),
+    *(_shipped_emulator(corrections) for corrections in (0, 1, 2, 3)),
     *(_elastic(quality, "invertible-stvk") for quality in QUALITIES),
     *(_elastic(quality, "corotational") for quality in QUALITIES[:-1]),  # converged has the same error
     *(
@@ -178,8 +221,8 @@ def emulator(path: Path) -> Method:
     weights = EmulatorWeights.load(path)
     return Method(
         f"emulator/{path.stem}",
-        f"patch network of {weights.parameter_count:,} parameters",
-        lambda scene: Emulator.of_sequence(scene.sequence, weights, edge_length=scene.edge),
+        f"{weights.network} network of {weights.parameter_count:,} parameters",
+        _emulator(lambda: weights),
     )
 
 

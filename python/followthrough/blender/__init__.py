@@ -14,7 +14,9 @@ Messages of `NotBakeableError` and of every other `ValueError` are meant for the
 """
 
 from followthrough.blender.bake import Bake, FrameRange, ObjectSettings, Progress
+from followthrough.blender.bake_cache import BakeCache, cache_folder, resumable_frame
 from followthrough.blender.bake_report import BakeReport, ObjectReport
+from followthrough.blender.cautions import caution_before_bake
 from followthrough.blender.groups import (
     MASS_GROUP,
     PINS_GROUP,
@@ -26,30 +28,44 @@ from followthrough.blender.groups import (
     remove_groups,
     write_group,
 )
+from followthrough.blender.learned_springs import has_learned, read_learned, remove_learned
+from followthrough.blender.learning import Learning, LearningReport, ObjectLearning
+from followthrough.blender.outputs import OUTPUTS, OutputKind, baked_range, clear
 from followthrough.blender.rig_reading import read_surface
 from followthrough.blender.scene import NotBakeableError, action_frames, skinned_meshes, why_not_bakeable
-from followthrough.blender.shape_keys import baked_range, clear
 
 __all__ = [
     "MASS_GROUP",
+    "OUTPUTS",
     "PINS_GROUP",
     "STIFFNESS_GROUP",
     "Bake",
+    "BakeCache",
     "BakeReport",
     "FrameRange",
+    "Learning",
+    "LearningReport",
     "NotBakeableError",
+    "ObjectLearning",
     "ObjectReport",
     "ObjectSettings",
+    "OutputKind",
     "PaintGroups",
     "PinGroup",
     "Progress",
     "action_frames",
     "add_groups",
     "baked_range",
+    "cache_folder",
+    "caution_before_bake",
     "clear",
+    "has_learned",
+    "read_learned",
     "read_paint",
     "read_surface",
     "remove_groups",
+    "remove_learned",
+    "resumable_frame",
     "skinned_meshes",
     "why_not_bakeable",
     "write_group",

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -34,12 +35,27 @@ def scene_frames(times: tuple[int, int], scene: bpy.types.Scene) -> tuple[int, i
     return math.ceil(times[0] / length), math.floor(times[1] / length)
 
 
-def write_action(
-    key: bpy.types.Key, name: str, frames: Sequence[int], blocks: Sequence[str], length: float = 1.0
-) -> None:
-    """Animate one shape key a frame: 0 in the frame before, 1 in its own, 0 in the next, linear between.
+@dataclass(frozen=True)
+class Curve:
+    """A property's values at some frames, linear between them and constant outside."""
 
-    The action becomes the shape keys' own where they had no animation; otherwise it plays from an NLA track beside
+    data_path: str
+    frames: Sequence[int]
+    values: Sequence[float]
+
+
+def relative_curves(frames: Sequence[int], blocks: Sequence[str]) -> list[Curve]:
+    """One shape key a frame: 0 in the frame before, 1 in its own, 0 in the next."""
+    return [
+        Curve(f'key_blocks["{bpy.utils.escape_identifier(block)}"].value', (frame - 1, frame, frame + 1), (0, 1, 0))
+        for frame, block in zip(frames, blocks, strict=True)
+    ]
+
+
+def write_action(key: bpy.types.Key, name: str, curves: Sequence[Curve], length: float = 1.0) -> None:
+    """Animate shape keys with an action of ours.
+
+    It becomes the shape keys' own where they had no animation; otherwise it plays from an NLA track beside
     that. `length` is the scene's `frame_length`: animation is read there instead of at the frame.
     """
     animation = key.animation_data or key.animation_data_create()
@@ -55,16 +71,14 @@ def write_action(
         action.id_root = "KEY"
         holder = action
     group = holder.groups.new(OURS)
-    interpolation = np.full(3, _LINEAR, dtype=np.int32)
-    for frame, block in zip(frames, blocks, strict=True):
-        curve = holder.fcurves.new(f'key_blocks["{bpy.utils.escape_identifier(block)}"].value')
+    for wanted in curves:
+        curve = holder.fcurves.new(wanted.data_path)
         curve.group = group
-        times = length * np.array([frame - 1, frame, frame + 1])
-        points = np.column_stack([times, [0, 1, 0]]).ravel().astype(np.float32)
-        curve.keyframe_points.add(3)
+        points = np.column_stack([length * np.array(wanted.frames), wanted.values]).ravel().astype(np.float32)
+        curve.keyframe_points.add(len(wanted.frames))
         for part in ("co", "handle_left", "handle_right"):
             curve.keyframe_points.foreach_set(part, points)
-        curve.keyframe_points.foreach_set("interpolation", interpolation)
+        curve.keyframe_points.foreach_set("interpolation", np.full(len(wanted.frames), _LINEAR, dtype=np.int32))
         curve.update()
     if not foreign:
         animation.action = action
@@ -73,7 +87,7 @@ def write_action(
         return
     track = animation.nla_tracks.new()
     track.name = OURS
-    start = length * (int(frames[0]) - 1)
+    start = length * min(int(curve.frames[0]) for curve in curves)
     clip = track.strips.new(OURS, math.floor(start), action)
     if start != math.floor(start):
         clip.frame_start_ui = start
@@ -126,15 +140,24 @@ def animated_blocks(key: bpy.types.Key) -> frozenset[str]:
     )
 
 
-def has_foreign_animation(key: bpy.types.Key) -> bool:
+def has_foreign_animation(key: bpy.types.Key | None) -> bool:
     """Whether something else than our own curves animates or drives the shape keys."""
-    animation = key.animation_data
+    animation = None if key is None else key.animation_data
     if animation is None:
         return False
     actions = [animation.action, *(strip.action for track in animation.nla_tracks for strip in track.strips)]
     return len(animation.drivers) > 0 or any(
         not _is_our_curve(curve) for action in actions if action is not None for curve in _curves(action)
     )
+
+
+def animated_paths(animation: bpy.types.AnimData | None) -> set[str]:
+    """Data paths that actions, NLA tracks or drivers move."""
+    if animation is None:
+        return set()
+    actions = [animation.action, *(strip.action for track in animation.nla_tracks for strip in track.strips)]
+    paths = {curve.data_path for action in actions if action is not None for curve in _curves(action)}
+    return paths | {driver.data_path for driver in animation.drivers}
 
 
 def is_ours(action: bpy.types.Action | None) -> bool:

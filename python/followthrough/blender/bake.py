@@ -3,33 +3,60 @@
 
 from __future__ import annotations
 
+import concurrent.futures
+import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import bpy
 import numpy as np
-from numpy.typing import NDArray
 
-from followthrough.blender import actions, modes, shape_keys
+from followthrough.blender import actions, modes, outputs, point_cache, shape_keys
+from followthrough.blender.bake_cache import BakeCache, plan_of
+from followthrough.blender.bake_recovery import Recovery
 from followthrough.blender.bake_report import BakeReport, ObjectReport
+from followthrough.blender.baked_character import BakedCharacter
 from followthrough.blender.groups import PaintGroups, read_paint
+from followthrough.blender.outputs import OUTPUTS, OutputKind
 from followthrough.blender.probes import OffsetFinder
-from followthrough.blender.rig_reading import PoseReader, make_reader, read_surface
-from followthrough.blender.scene import NotBakeableError, require_bakeable, require_posed, skeletons_of
-from followthrough.blender.vertex_weights import read_weights
-from followthrough.character import BonePose, Pose, Surface
+from followthrough.blender.rig_reading import make_reader, read_bare_surface, with_skeleton
+from followthrough.blender.scene import (
+    Deformation,
+    NotBakeableError,
+    require_bakeable,
+    require_posed,
+    skeletons_of,
+)
+from followthrough.blender.still_meshes import StillMeshes
+from followthrough.blender.vertex_weights import VertexWeights, read_weights
+from followthrough.character import BonePose, Paint, Pose, Surface
 from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings
+from followthrough.volume import make_tets
+
+#: Poses that are read before they are needed take so many bytes at most.
+LOOK_AHEAD = 2**26
+#: Seconds for which poses are read at once.
+BURST = 0.02
+#: Seconds after which a thread that makes a volume gets its turn while poses are read; Python's own 5 ms would add up.
+SWITCH_INTERVAL = 5e-4
 
 
 @dataclass(frozen=True)
 class ObjectSettings:
-    """How one object is baked: volume and solver, and which vertex groups are read."""
+    """How one object is baked: volume and solver, which vertex groups are read, and what is written."""
 
     motion: Settings = field(default_factory=Settings)
     groups: PaintGroups = field(default_factory=PaintGroups)
+    output: OutputKind = "keys"
+
+    def __post_init__(self) -> None:
+        if self.output not in OUTPUTS:
+            raise ValueError(f"output: found {self.output!r}, expected {' or '.join(OUTPUTS)}")
 
 
 @dataclass(frozen=True)
@@ -67,23 +94,6 @@ class Progress:
     frame: int
 
 
-@dataclass
-class _Character:
-    """One object while it is baked."""
-
-    name: str
-    motion: SecondaryMotion
-    reader: PoseReader
-    finder: OffsetFinder | None
-    #: One a keyed frame; until a finder has found the offset, the displacement in the world.
-    offsets: NDArray[np.float32]
-    unkeyed: NDArray[np.float32]
-    largest_displacement: float = 0.0
-    largest_residual: float = 0.0
-    evaluations: int = 0
-    unconverged: set[int] = field(default_factory=set)
-
-
 class Bake:
     """Secondary motion of some mesh objects over a range of frames.
 
@@ -99,6 +109,17 @@ class Bake:
         Settings of every object to bake, by object name.
     frames
         Which frames; the scene's where it is None.
+    cache
+        Folder (`bake_cache.cache_folder`) in which the bake keeps what it has done, and goes on from where an earlier one of the same
+        characters, settings and animation has stopped. It is removed at the end. None: neither.
+
+    blend
+        The .blend that will play the bake, beside which point caches are written; None: the one that is open.
+
+    Attributes
+    ----------
+    recovery : Recovery
+        What is in the cache, and whether it is used.
 
     Raises
     ------
@@ -109,9 +130,15 @@ class Bake:
     """
 
     def __init__(
-        self, scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange | None = None
+        self,
+        scene: bpy.types.Scene,
+        objects: Mapping[str, ObjectSettings],
+        frames: FrameRange | None = None,
+        cache: Path | None = None,
+        blend: Path | None = None,
     ) -> None:
         frames = frames or FrameRange()
+        objects = dict(sorted(objects.items()))  # a cache is the same in whatever order they were selected
         self._began = time.perf_counter()
         self._scene = scene.name
         self.start = scene.frame_start if frames.start is None else frames.start
@@ -121,16 +148,22 @@ class Bake:
         if not objects:
             raise NotBakeableError("there is no object to bake: choose a mesh that an armature moves")
         view_layer = self._view_layer()
-        for name in objects:
+        self._blend = blend or (Path(bpy.data.filepath) if bpy.data.filepath else None)
+        for name, settings in objects.items():
             _require_visible(name, scene, view_layer)
-            require_bakeable(bpy.data.objects[name])
+            require_bakeable(bpy.data.objects[name], settings.output)
+            if settings.output == "pc2" and self._blend is None:
+                raise NotBakeableError("a point cache lies beside its .blend: save the file first")
             require_posed(bpy.data.objects[name])
         self._dt = scene.render.fps_base / scene.render.fps
         self._frame = (scene.frame_current, scene.frame_subframe)
         self._restore: list[Callable[[], None]] = []
         self._modes: dict[str, str] = {}
+        self._outputs = {name: settings.output for name, settings in objects.items()}
         self._complete = self._closed = False
-        self._characters: list[_Character] = []
+        self._characters: list[BakedCharacter] = []
+        self._ahead: deque[list[Pose]] = deque()
+        self._cache = cache
         try:
             self._prepare(scene, objects, frames)
         except BaseException:
@@ -142,6 +175,11 @@ class Bake:
         """Number of steps: frames to simulate, pre-roll and cycles included, and frames whose offsets are searched."""
         searched = self.end - self.start + 1 if self._searched else 0
         return len(self._schedule) + searched
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """Sentences for the artist about what the solvers are not made for, known before anything is simulated; usually none."""
+        return tuple(f"{made.name}: {made.motion.caution}" for made in self._characters if made.motion.caution)
 
     def run(self, patience: float | None = None) -> Iterator[Progress]:
         """Simulate, one frame a step, and then search offsets where bones do not tell them. Leaving the loop early cancels.
@@ -170,10 +208,12 @@ class Bake:
                 self.cancel()
 
     def finish(self) -> BakeReport:
-        """Write the shape keys of all objects and put the scene's frame back.
+        """Write the shape keys or point caches of all objects and put the scene's frame back.
 
         Raises
         ------
+        ValueError, OSError
+            Where a point cache cannot be written.
         RuntimeError
             Where `run` has not come to its end.
         """
@@ -186,11 +226,24 @@ class Bake:
                 raise NotBakeableError(f"Object '{character.name}' has been removed or changed: bake again")
         self._put_back()
         frames, length = range(self.start, self.end + 1), actions.frame_length(bpy.data.scenes[self._scene])
-        for character in self._characters:
-            shape_keys.write(bpy.data.objects[character.name], frames, character.offsets, length)
+        try:
+            for character in self._characters:
+                outputs.write(
+                    bpy.data.objects[character.name],
+                    self._outputs[character.name],
+                    frames,
+                    character.offsets,
+                    character.rest_positions,
+                    self._blend,
+                    length,
+                )
+        except BaseException:
+            self.cancel()
+            raise
         modes.enter_modes(self._modes)
         self._back_to_frame()
         self._closed = True
+        self.recovery.end()
         return BakeReport(
             objects=tuple(self._report(character) for character in self._characters),
             start=self.start,
@@ -204,7 +257,7 @@ class Bake:
             return
         self._closed = True
         for character in self._characters:
-            character.motion.abandon()
+            character.abandon()
         self._put_back()
         modes.enter_modes(self._modes)
         self._back_to_frame()
@@ -213,28 +266,118 @@ class Bake:
         # An armature in Edit Mode shows its rest pose.
         armatures = {armature.name for name in objects for armature in skeletons_of(bpy.data.objects[name])}
         self._modes = modes.leave_modes([*objects, *sorted(armatures)])
-        deformations = {name: require_bakeable(bpy.data.objects[name]) for name in objects}
+        deformations = {
+            name: require_bakeable(bpy.data.objects[name], settings.output) for name, settings in objects.items()
+        }
         for name, deformation in deformations.items():
             obj = bpy.data.objects[name]
             self._mute_our_keys(obj)
+            cached = point_cache.our_modifier(obj)
+            if cached is not None and obj.modifiers[cached].show_viewport:
+                self._switch_off(obj, (cached,))
             if deformation.armature is None:
                 self._switch_off(obj, deformation.behind)
         scene.frame_set(self.start)
-        for name, settings in objects.items():
-            obj = bpy.data.objects[name]
-            weights = read_weights(obj)
-            surface = read_surface(obj, weights)
-            paint = read_paint(obj, surface, settings.groups, weights)
+        self._still = StillMeshes(deformations, self._view_layer())
+        self._restore.append(self._still.show)
+        interval = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_INTERVAL)
+        thread = concurrent.futures.ThreadPoolExecutor(max_workers=1)
+        try:
+            for name, settings in objects.items():
+                self._read_character(bpy.data.objects[name], settings, deformations[name], thread)
+            self._searched = [character for character in self._characters if character.finder is not None]
+            self._schedule = self._make_schedule(frames)
+            self.recovery = self._make_recovery(objects, frames)
+            # While the volumes are made on the thread, Blender steps the first frames here.
+            self._read_ahead_until(self._characters[-1].made)
+            for character in self._characters:
+                character.made.result()
+        finally:
+            thread.shutdown(wait=False, cancel_futures=True)
+            sys.setswitchinterval(interval)
+
+    def _read_character(
+        self,
+        obj: bpy.types.Object,
+        settings: ObjectSettings,
+        deformation: Deformation,
+        thread: concurrent.futures.Executor,
+    ) -> None:
+        """Read an object; its volume and solver are made on the thread, the tets while the weights are read here."""
+        bare = read_bare_surface(obj)
+        tets = thread.submit(make_tets, bare, settings.motion.volume)
+        weights = read_weights(obj)
+        surface = bare if deformation.armature is None else with_skeleton(obj, bare, weights)
+        paint = self._read_paint(obj, surface, settings.groups, weights)
+        name = obj.name
+
+        def make_motion() -> SecondaryMotion:
             with _told_apart(f"Object '{name}'"):
-                motion = SecondaryMotion(surface, paint, settings.motion, self._dt)
-            offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
-            finder = self._make_finder(obj, surface, settings.motion.minimum_stretch) if surface.rig is None else None
-            reader = make_reader(obj, deformations[name], surface)
-            self._characters.append(
-                _Character(name, motion, reader, finder, offsets, unkeyed=np.empty_like(offsets[0]))
+                return SecondaryMotion(surface, paint, settings.motion, self._dt, tets.result())
+
+        made = thread.submit(make_motion)
+        offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
+        finder = self._make_finder(obj, surface, settings.motion.minimum_stretch) if surface.rig is None else None
+        reader = make_reader(obj, deformation, surface)
+        self._characters.append(
+            BakedCharacter(
+                name, made, reader, finder, surface.rest_positions, offsets, unkeyed=np.empty_like(offsets[0])
             )
-        self._searched = [character for character in self._characters if character.finder is not None]
-        self._schedule = self._make_schedule(frames)
+        )
+
+    def _read_paint(
+        self, obj: bpy.types.Object, surface: Surface, groups: PaintGroups, weights: VertexWeights
+    ) -> Paint:
+        return read_paint(obj, surface, groups, weights)
+
+    def _read_ahead_until(self, made: concurrent.futures.Future[SecondaryMotion]) -> None:
+        """Read poses in the order in which they are needed, for as long as that takes."""
+        while not made.done() and self._read_ahead():
+            pass
+
+    def _read_ahead(self) -> bool:
+        """Read the next pose that has not been read yet; False where there is none, no room for it, or it cannot be read.
+
+        What is wrong with a pose is told when its turn comes.
+        """
+        room = max(1, LOOK_AHEAD // sum(map(_size, self._ahead[0]))) if self._ahead else 1
+        if not self._unread or len(self._ahead) >= room:
+            return False
+        with suppress(ValueError):
+            self._ahead.append(self._read(self._unread[0]))
+            self._unread.popleft()
+            return True
+        return False
+
+    def _read_burst(self) -> None:
+        """Where few poses are left, read some at once: the threads that Blender evaluates with go on spinning for a while after a frame,
+        and would slow down the one that simulates.
+        """
+        if len(self._ahead) < 2:
+            until = time.monotonic() + BURST
+            while self._read_ahead() and time.monotonic() < until:
+                pass
+
+    def _take_poses(self) -> list[Pose]:
+        """The next poses, read ahead or now."""
+        for character in self._characters:
+            if character.name not in bpy.data.objects:
+                raise NotBakeableError(f"Object '{character.name}' is no longer there")
+        if self._ahead:
+            return self._ahead.popleft()
+        poses = self._read(self._unread[0])
+        self._unread.popleft()
+        return poses
+
+    def _make_recovery(self, objects: Mapping[str, ObjectSettings], frames: FrameRange) -> Recovery:
+        return Recovery(
+            cache=None if self._cache is None else BakeCache(self._cache, self._scene, objects),
+            plan=plan_of(bpy.data.scenes[self._scene], objects, frames),
+            characters=self._characters,
+            scheduled=[frame for frame, _ in self._schedule],
+            keyed=self.end - self.start + 1,
+        )
 
     def _make_finder(self, obj: bpy.types.Object, surface: Surface, minimum_stretch: float) -> OffsetFinder:
         finder = OffsetFinder(obj.name, surface.rest_positions, minimum_stretch)
@@ -243,42 +386,73 @@ class Bake:
         return finder
 
     def _make_schedule(self, frames: FrameRange) -> list[tuple[int, bool]]:
-        """Frames to simulate, and whether they are keyed; the frame that follows the last one of a loop is `_after`."""
-        self._after: int | None = None
+        """Frames to simulate, and whether they are keyed; after a loop's last one, the frame that follows it is read, too."""
+        after: int | None = None
         schedule = [(frame, False) for frame in range(self.start - frames.preroll, self.start)]
         if frames.cycles:
             first, last = self._read(self.start), self._read(self.end)
             closed = self.end > self.start and all(map(_same_pose, first, last))
             loop = range(self.start, self.end if closed else self.end + 1)
             schedule += [(frame, False) for _ in range(frames.cycles) for frame in loop]
-            self._after = self.start + int(closed)
-        return schedule + [(frame, True) for frame in range(self.start, self.end + 1)]
+            after = self.start + int(closed)
+        schedule += [(frame, True) for frame in range(self.start, self.end + 1)]
+        self._frames_to_read = [frame for frame, _ in schedule] + ([] if after is None else [after])
+        self._unread = deque(self._frames_to_read)
+        return schedule
 
     def _steps(self, patience: float | None) -> Iterator[Progress]:
-        following = [frame for frame, _ in self._schedule[1:]] + [self._after]
-        poses: list[Pose] = self._read(self._schedule[0][0])
+        poses = self._take_poses()
         for character, pose in zip(self._characters, poses, strict=True):
             with _told_apart(f"Object '{character.name}', frame {self._schedule[0][0]}"):
                 character.motion.reset(pose)
+        self.recovery.poses.add(poses)
+        first, poses = yield from self._resume(poses)
         under_way: Progress | None = None
-        for done, ((frame, _), next_frame) in enumerate(zip(self._schedule, following, strict=True)):
-            next_poses = None if next_frame is None else self._read(next_frame)
+        for done in range(first, len(self._schedule)):
+            frame = self._schedule[done][0]
+            self._read_burst()
+            next_poses = self._take_poses() if self._ahead or self._unread else None
             if under_way is not None:
                 yield from self._wait(under_way, patience)
-                self._collect(*self._schedule[done - 1])
+                self._collect(done - 1)
             progress = Progress(done=done + 1, total=self.total, frame=frame)
             if done:
                 self._begin(frame, poses, next_poses)
                 under_way = progress
-            if next_poses is not None:
+            if next_poses is not None and done + 1 < len(self._schedule):
                 poses = next_poses
+                self.recovery.poses.add(poses)
             if done + 1 < len(self._schedule):
                 yield progress
         if under_way is not None:
             yield from self._wait(under_way, patience)
-            self._collect(*self._schedule[-1])
+            self._collect(len(self._schedule) - 1)
+        if self._searched and first < len(self._schedule):
+            self.recovery.save(len(self._schedule), always=True)  # the displacements, before offsets take their place
         self._complete = not self._searched
-        yield progress
+        yield Progress(done=len(self._schedule), total=self.total, frame=self._schedule[-1][0])
+
+    def _resume(self, poses: list[Pose]) -> Generator[Progress, None, tuple[int, list[Pose]]]:
+        """Go on where the cache ends, if it is of this bake: step through the frames again, without simulating them.
+
+        Takes the first frame's poses; returns how many frames are simulated, and the poses of the next one.
+        """
+        saved = self.recovery.load()
+        if saved is None:
+            return 0, poses
+        first = poses
+        for done in range(1, min(saved.done + 1, len(self._schedule))):
+            poses = self._take_poses()
+            self.recovery.poses.add(poses)
+            yield Progress(done=done, total=self.total, frame=self._schedule[done - 1][0])
+        if self.recovery.restore(saved):
+            return saved.done, poses
+        self._ahead.clear()
+        self._unread = deque(self._frames_to_read[1:])
+        self.recovery.poses.add(first)
+        for character, pose in zip(self._characters, first, strict=True):
+            character.motion.reset(pose)
+        return 0, first
 
     def _wait(self, under_way: Progress, patience: float | None) -> Iterator[Progress]:
         if patience is not None:
@@ -288,17 +462,19 @@ class Bake:
 
     def _searches(self) -> Iterator[Progress]:
         """Turn the displacements of what bones alone do not move into offsets, frame by frame."""
-        for done, frame in enumerate(
-            range(self.start, self.end + 1) if self._searched else (), len(self._schedule) + 1
-        ):
-            self._scene_in(frame)
-            for character in self._searched:
-                with _told_apart(f"Object '{character.name}', frame {frame}"):
-                    self._search(character, frame)
+        for frame in range(self.start, self.end + 1) if self._searched else ():
+            keyed = frame - self.start + 1
+            if any(character.found < keyed for character in self._searched):
+                self._scene_in(frame)
+                for character in self._searched:
+                    with _told_apart(f"Object '{character.name}', frame {frame}"):
+                        self._search(character, frame)
+                    character.found = keyed
+                self.recovery.save(len(self._schedule))
             self._complete = frame == self.end
-            yield Progress(done=done, total=self.total, frame=frame)
+            yield Progress(done=len(self._schedule) + keyed, total=self.total, frame=frame)
 
-    def _search(self, character: _Character, frame: int) -> None:
+    def _search(self, character: BakedCharacter, frame: int) -> None:
         assert character.finder is not None
         view_layer = self._view_layer()
         to_world = character.reader.read(view_layer).world[:3, :3]
@@ -315,7 +491,8 @@ class Bake:
             with _told_apart(f"Object '{character.name}', frame {frame}"):
                 character.motion.begin(poses[index], None if following is None else following[index])
 
-    def _collect(self, frame: int, keyed: bool) -> None:
+    def _collect(self, index: int) -> None:
+        frame, keyed = self._schedule[index]
         for character in self._characters:
             with _told_apart(f"Object '{character.name}', frame {frame}"):
                 result = character.motion.finish()
@@ -330,6 +507,7 @@ class Bake:
             if keyed:
                 character.largest_displacement = max(character.largest_displacement, result.largest_displacement)
                 character.largest_residual = max(character.largest_residual, result.largest_residual)
+        self.recovery.save(index + 1)
 
     def _read(self, frame: int) -> list[Pose]:
         self._scene_in(frame)
@@ -345,7 +523,13 @@ class Bake:
         scene = bpy.data.scenes.get(self._scene)
         if scene is None:
             raise NotBakeableError(f"Scene '{self._scene}' is no longer there")
+        self._still.hold()
         scene.frame_set(frame)
+
+    def show(self) -> None:
+        """Between two frames: let Blender show the objects deformed in the scene's current frame, until the next one is read."""
+        if not self._closed:
+            self._still.show()
 
     def _view_layer(self) -> bpy.types.ViewLayer:
         scene = bpy.data.scenes[self._scene]
@@ -356,6 +540,8 @@ class Bake:
 
     def _mute_our_keys(self, obj: bpy.types.Object) -> None:
         key = obj.data.shape_keys
+        if shape_keys.is_absolute_bake(key):
+            self._make_relative(obj)
         names = [name for name in shape_keys.our_names(key) if not key.key_blocks[name].mute]
         if not names:
             return
@@ -370,8 +556,19 @@ class Bake:
         self._restore.append(lambda: set_mute(False))
         set_mute(True)
 
+    def _make_relative(self, obj: bpy.types.Object) -> None:
+        """Absolute keys of an earlier bake show the rest shape as relative ones: their values are 0."""
+
+        def set_relative(relative: bool, name: str = obj.name) -> None:
+            found = bpy.data.objects.get(name)
+            if found is not None and found.data.shape_keys is not None:
+                found.data.shape_keys.use_relative = relative
+
+        self._restore.append(lambda: set_relative(False))
+        set_relative(True)
+
     def _switch_off(self, obj: bpy.types.Object, modifiers: tuple[str, ...]) -> None:
-        """Hide modifiers behind the deformation, which would change the number of vertices."""
+        """Hide modifiers behind the deformation, which would change the number of vertices, and what an earlier bake made."""
 
         def show(visible: bool, name: str = obj.name) -> None:
             found = bpy.data.objects.get(name)
@@ -391,7 +588,7 @@ class Bake:
         if scene is not None:
             scene.frame_set(self._frame[0], subframe=self._frame[1])
 
-    def _report(self, character: _Character) -> ObjectReport:
+    def _report(self, character: BakedCharacter) -> ObjectReport:
         volume = character.motion.volume
         return ObjectReport(
             name=character.name,
@@ -403,6 +600,7 @@ class Bake:
             evaluations_per_frame=character.evaluations / len(character.offsets),
             loose_vertices=character.motion.loose_vertex_count,
             unconverged=tuple(sorted(character.unconverged)),
+            caution=character.motion.caution,
         )
 
 
@@ -426,6 +624,11 @@ def _require_visible(name: str, scene: bpy.types.Scene, view_layer: bpy.types.Vi
 def _is_finite(pose: Pose) -> bool:
     local = pose.bone_matrices if isinstance(pose, BonePose) else pose.positions
     return bool(np.isfinite(local).all() and np.isfinite(pose.world).all())
+
+
+def _size(pose: Pose) -> int:
+    """Bytes, about."""
+    return pose.bone_matrices.nbytes if isinstance(pose, BonePose) else pose.positions.nbytes
 
 
 def _same_pose(first: Pose, last: Pose) -> bool:

@@ -29,6 +29,8 @@ class ObjectReport:
     unconverged : tuple of int
         Frames, also such that were not keyed, in which the solver was not as exact as its quality promises;
         "preview" promises nothing.
+    caution : str
+        What was known to be beyond the solver before the bake began (`Bake.cautions`); none where empty.
     """
 
     name: str
@@ -40,11 +42,14 @@ class ObjectReport:
     evaluations_per_frame: float = 0.0
     loose_vertices: int = 0
     unconverged: tuple[int, ...] = ()
+    caution: str = ""
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences for the artist, none where all went well."""
         found = []
+        if self.caution:
+            found.append(f"{self.name}: {self.caution}")
         if not self.largest_displacement:
             found.append(f"{self.name}: nothing swings, because nothing moves in these frames; look at its animation")
         if self.largest_residual > _NOTABLE_RESIDUAL * self.largest_displacement:

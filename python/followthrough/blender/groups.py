@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
+from followthrough.blender.learned_springs import read_learned
 from followthrough.blender.modes import object_mode
 from followthrough.blender.rig_reading import read_surface, with_skeleton
 from followthrough.blender.vertex_weights import VertexWeights, read_weights
@@ -100,7 +101,7 @@ def read_paint(
     groups: PaintGroups | None = None,
     weights: VertexWeights | None = None,
 ) -> Paint:
-    """Read what is painted.
+    """Read what is painted, and the springs that were learned.
 
     Parameters
     ----------
@@ -127,7 +128,8 @@ def read_paint(
     names = [*filter(None, (stiffness, mass)), *(group.name for group in pins or ())]
     painted = _read_groups(obj, names, weights)
     if stiffness is not None and mass is not None and pins is not None:
-        paint = Paint(*(np.zeros(len(surface.rest_positions)) for _ in range(3)))  # all of it painted
+        nothing = np.zeros(len(surface.rest_positions))
+        paint = Paint(nothing, nothing, nothing)  # all of it painted
     else:
         paint = suggested_paint(obj, surface)
     if stiffness is not None:
@@ -137,7 +139,7 @@ def read_paint(
     if pins is not None:
         strengths = [painted[group.name] * group.strength for group in pins]
         paint = replace(paint, pins=np.max([np.zeros(len(surface.rest_positions)), *strengths], axis=0))
-    return paint
+    return replace(paint, learned=read_learned(obj))
 
 
 def write_group(obj: bpy.types.Object, name: str, values: FloatArray) -> None:

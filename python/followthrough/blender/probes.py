@@ -8,9 +8,12 @@ whatever the modifiers are.
 
 from __future__ import annotations
 
+import math
+
 import bpy
 import numpy as np
 
+from followthrough.affine import determinant
 from followthrough.blender.scene import NotBakeableError
 from followthrough.blender.shape_keys import TrialKey
 from followthrough.character import FloatArray, SampledPose
@@ -132,7 +135,12 @@ def world_matrix(obj: bpy.types.Object) -> FloatArray:
         Where it flattens the object, so that nothing leads back.
     """
     matrix = np.array(obj.matrix_world, dtype=np.float64)
-    stretches = np.linalg.svd(matrix[:3, :3], compute_uv=False) if np.isfinite(matrix).all() else np.ones(3)
+    # The smallest stretch is 2 |determinant| / |matrix|² or more: proof, nearly always, that nothing is flat.
+    linear = matrix[:3, :3]
+    size = math.sqrt(float(np.vdot(linear, linear)))
+    if 2.0 * abs(determinant(linear)) > FLAT * size**3:
+        return matrix
+    stretches = np.linalg.svd(linear, compute_uv=False) if np.isfinite(matrix).all() else np.ones(3)
     if not stretches.min() > FLAT * stretches.max():
         raise NotBakeableError(f"Object '{obj.name}' is flat: its scale is 0 along some axis, or nearly so")
     return matrix

@@ -13,6 +13,7 @@ import numpy as np
 from followthrough.affine import inverse_affine
 from followthrough.blender import probes
 from followthrough.blender.modes import object_mode
+from followthrough.blender.outputs import OutputKind
 from followthrough.blender.scene import Deformation, NotBakeableError, require_bakeable, skeleton_of
 from followthrough.blender.shape_keys import read_points
 from followthrough.blender.vertex_weights import VertexWeights, read_weights
@@ -26,7 +27,7 @@ class PoseReader(Protocol):
         """Read it from the view layer's evaluated state."""
 
 
-def read_surface(obj: bpy.types.Object, weights: VertexWeights | None = None) -> Surface:
+def read_surface(obj: bpy.types.Object, weights: VertexWeights | None = None, output: OutputKind = "keys") -> Surface:
     """Read a mesh object at rest, with its rig where a plain Armature modifier alone moves it.
 
     Parameters
@@ -35,13 +36,27 @@ def read_surface(obj: bpy.types.Object, weights: VertexWeights | None = None) ->
         The object.
     weights
         What `read_weights` gave for it, where the caller has that already: nothing takes longer to read.
+    output
+        What it is to be baked to.
 
     Raises
     ------
     NotBakeableError
         Where the object cannot be baked.
     """
-    deformation = require_bakeable(obj)
+    deformation = require_bakeable(obj, output)
+    surface = read_bare_surface(obj)
+    return surface if deformation.armature is None else with_skeleton(obj, surface, weights)
+
+
+def read_bare_surface(obj: bpy.types.Object) -> Surface:
+    """The same without the rig, and thus without a look at the weights: all that a volume's tets are made of.
+
+    Raises
+    ------
+    NotBakeableError
+        Where the mesh is empty, not finite or flat.
+    """
     with object_mode(obj.name):
         positions = rest_positions(obj)
         triangles = _triangles(obj.data)
@@ -55,13 +70,12 @@ def read_surface(obj: bpy.types.Object, weights: VertexWeights | None = None) ->
         )
     armature = skeleton_of(obj)
     scale = _stretch(obj) * (1.0 if armature is None else _shared_bone_scale(armature))
-    surface = Surface(
+    return Surface(
         rest_positions=positions,
         triangles=triangles,
         object_scale=scale,
         character_size=None if armature is None else _character_size(obj, armature, positions, scale),
     )
-    return surface if deformation.armature is None else with_skeleton(obj, surface, weights)
 
 
 def with_skeleton(obj: bpy.types.Object, surface: Surface, weights: VertexWeights | None = None) -> Surface:

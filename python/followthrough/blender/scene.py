@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import bpy
 
 from followthrough.blender.actions import has_foreign_animation, played_range, scene_frames
-from followthrough.blender.shape_keys import our_names
+from followthrough.blender.outputs import OutputKind
+from followthrough.blender.point_cache import our_modifier
+from followthrough.blender.shape_keys import is_absolute_bake, our_names
 
 #: Modifiers that move vertices one by one and keep their number.
 DEFORMING = frozenset(
@@ -52,20 +54,27 @@ def skinned_meshes(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return [obj for obj in scene.objects if obj.type == "MESH" and skeleton_of(obj) is not None]
 
 
-def why_not_bakeable(obj: bpy.types.Object) -> str | None:
+def why_not_bakeable(obj: bpy.types.Object, output: OutputKind = "keys") -> str | None:
     """Reason why this object cannot be baked, a sentence for the artist; None where it can.
 
     Quick enough for a panel: coordinates are not looked at (`read_surface` does).
     """
     try:
-        require_bakeable(obj)
+        require_bakeable(obj, output)
     except NotBakeableError as problem:
         return str(problem)
     return None
 
 
-def require_bakeable(obj: bpy.types.Object) -> Deformation:
+def require_bakeable(obj: bpy.types.Object, output: OutputKind = "keys") -> Deformation:
     """Tell what moves this object.
+
+    Parameters
+    ----------
+    obj
+        The object.
+    output
+        What it is to be baked to.
 
     Raises
     ------
@@ -75,12 +84,23 @@ def require_bakeable(obj: bpy.types.Object) -> Deformation:
     name = f"Object '{obj.name}'"
     if obj.type != "MESH":
         raise NotBakeableError(f"{name} is no mesh (it is of type {obj.type.lower()}): choose the character's mesh")
-    _require_own_mesh(obj, name)
+    if output != "pc2":
+        _require_own_mesh(obj, name)
+    else:
+        _require_modifiable(obj, name)
     mesh = obj.data
     if obj.mode != "EDIT" and (not len(mesh.vertices) or not len(mesh.polygons)):
         raise NotBakeableError(f"{name} has an empty mesh: there are no faces to bake")
     _require_usable_keys(obj, name)
-    return _deformation(obj, name)
+    if output == "absolute":
+        _require_no_other_keys(obj, name)
+    deformation = _deformation(obj, name)
+    if output == "pc2" and obj.data.library is not None and deformation.armature is None:
+        raise NotBakeableError(
+            f"{name} has a linked mesh that something else than the bones of one armature moves: make the mesh local "
+            "(Object > Relations > Make Local)"
+        )
+    return deformation
 
 
 def skeleton_of(obj: bpy.types.Object) -> bpy.types.Object | None:
@@ -133,7 +153,7 @@ def _require_own_mesh(obj: bpy.types.Object, name: str) -> None:
         source = f" from {library.filepath}" if library is not None else ""
         raise NotBakeableError(
             f"{name} has a mesh that is linked{source}: its shape keys would be lost when the file is opened again; "
-            "make the mesh local (Object > Relations > Make Local)"
+            "make the mesh local (Object > Relations > Make Local), or choose Point Cache (PC2) as the output"
         )
     sharing = sorted(other.name for other in bpy.data.objects if other.data == mesh and other != obj)
     if sharing:
@@ -143,11 +163,28 @@ def _require_own_mesh(obj: bpy.types.Object, name: str) -> None:
         )
 
 
+def _require_modifiable(obj: bpy.types.Object, name: str) -> None:
+    """Check that a Mesh Cache modifier can be put first, and replaces nothing."""
+    if obj.library is not None:
+        raise NotBakeableError(
+            f"{name} is linked from {obj.library.filepath}, and can have no modifier of its own: make the object local, or override "
+            "it (Object > Library Override)"
+        )
+    if _is_deformed_by_parent(obj):
+        raise NotBakeableError(
+            f"{name} is deformed by its parent before any modifier, where no point cache can act: give it a modifier instead"
+        )
+    if _has_active_keys(obj.data.shape_keys):
+        raise NotBakeableError(
+            f"{name} has shape keys that take part, which a point cache would replace: choose shape keys as the output"
+        )
+
+
 def _require_usable_keys(obj: bpy.types.Object, name: str) -> None:
     key = obj.data.shape_keys
     if key is None:
         return
-    if not key.use_relative:
+    if not key.use_relative and not is_absolute_bake(key):
         raise NotBakeableError(f"{name} has absolute shape keys: switch on Relative in its Shape Keys panel")
     if obj.show_only_shape_key:
         raise NotBakeableError(f"{name} shows only its active shape key: switch off Solo in its Shape Keys panel")
@@ -158,6 +195,17 @@ def _require_usable_keys(obj: bpy.types.Object, name: str) -> None:
         raise NotBakeableError(f"{name} has shape key tracks that are switched off or solo: a bake would not play")
 
 
+def _require_no_other_keys(obj: bpy.types.Object, name: str) -> None:
+    key = obj.data.shape_keys
+    ours = our_names(key)
+    others = [] if key is None else [block.name for block in key.key_blocks[1:] if block.name not in ours]
+    if others or has_foreign_animation(key):
+        raise NotBakeableError(
+            f"{name} has other shape keys ({', '.join(map(repr, others)) or 'animated'}), which absolute ones would switch off: choose "
+            "(relative) shape keys as the output"
+        )
+
+
 def _has_solo_track(animation: bpy.types.AnimData) -> bool:
     return any(track.is_solo for track in animation.nla_tracks)
 
@@ -166,8 +214,9 @@ def _deformation(obj: bpy.types.Object, name: str) -> Deformation:
     chain: list[bpy.types.Modifier] = []
     behind: list[str] = []
     generator: str | None = None
+    ours = our_modifier(obj)
     for modifier in obj.modifiers:
-        if not modifier.show_viewport or modifier.type in STILL or _is_idle(modifier):
+        if not modifier.show_viewport or modifier.type in STILL or _is_idle(modifier) or modifier.name == ours:
             continue
         if modifier.type in REPLACING:
             raise NotBakeableError(f"{name} has the modifier '{modifier.name}', which replaces what shape keys do")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Our shape keys on a mesh: one a frame, relative, animated by an action of their own.
+"""Our shape keys on a mesh: one a frame, relative or absolute, animated by an action of their own.
 
 Keys and animation of others are never touched.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TypedDict
+from typing import NotRequired, TypedDict
 
 import bpy
 import numpy as np
@@ -22,15 +22,24 @@ from followthrough.blender.modes import object_mode
 RECORD = "followthrough"
 
 
+#: From one absolute key to the next: Blender's own distance.
+_KEY_DISTANCE = 10.0
+
+
 class _Record(TypedDict):
     start: int
     end: int
     names: list[str]
     basis: bool
+    absolute: NotRequired[bool]
 
 
 def write(
-    obj: bpy.types.Object, frames: Sequence[int], offsets: NDArray[np.float32], frame_length: float = 1.0
+    obj: bpy.types.Object,
+    frames: Sequence[int],
+    offsets: NDArray[np.float32],
+    frame_length: float = 1.0,
+    absolute: bool = False,
 ) -> None:
     """Replace our shape keys on this mesh.
 
@@ -42,6 +51,9 @@ def write(
         What each key adds to the Basis, in object space.
     frame_length
         `actions.frame_length` of the scene that plays them.
+    absolute
+        One curve, of the evaluation time, runs through keys that stand in a row, the Basis before and a key of rest after them. Only
+        where the mesh has no other keys.
 
     Raises
     ------
@@ -57,17 +69,39 @@ def write(
             obj.shape_key_add(name="Basis", from_mix=False)
         key = obj.data.shape_keys
         basis = read_points(key.reference_key)
-        names = []
+        names: list[str] = []
         points = np.empty_like(basis)
+        if absolute:
+            key.use_relative = False
+            key.reference_key.interpolation = "KEY_LINEAR"
         for frame, offset in zip(frames, offsets, strict=True):
+            if absolute:
+                key.eval_time = _KEY_DISTANCE * (len(names) + 1)  # where the key is put
             block = obj.shape_key_add(name=f"Followthrough {frame:04d}", from_mix=False)
             block.relative_key = key.reference_key
             block.value = 0.0
+            if absolute:
+                block.interpolation = "KEY_LINEAR"
             block.points.foreach_set("co", np.add(basis, offset, out=points).ravel())
             names.append(block.name)
-        record: _Record = {"start": int(frames[0]), "end": int(frames[-1]), "names": names, "basis": made_basis}
+        if absolute:
+            key.eval_time = end = _KEY_DISTANCE * (len(names) + 1)
+            block = obj.shape_key_add(name="Followthrough Rest", from_mix=False)
+            block.interpolation, block.value = "KEY_LINEAR", 0.0
+            block.points.foreach_set("co", basis.ravel())
+            names.append(block.name)
+            curves = [actions.Curve("eval_time", (frames[0] - 1, frames[-1] + 1), (0.0, end))]
+        else:
+            curves = actions.relative_curves(frames, names)
+        record: _Record = {
+            "start": int(frames[0]),
+            "end": int(frames[-1]),
+            "names": names,
+            "basis": made_basis,
+            "absolute": absolute,
+        }
         key[RECORD] = json.dumps(record)
-        actions.write_action(key, f"{actions.OURS} {obj.name}", frames, names, frame_length)
+        actions.write_action(key, f"{actions.OURS} {obj.name}", curves, frame_length)
         obj.data.update_tag()
 
 
@@ -98,6 +132,12 @@ def our_names(key: bpy.types.Key | None) -> frozenset[str]:
     if key is None or record is None:
         return frozenset()
     return frozenset(record["names"]) & frozenset(key.key_blocks.keys()) | actions.animated_blocks(key)
+
+
+def is_absolute_bake(key: bpy.types.Key | None) -> bool:
+    """Whether the shape keys are absolute because a bake made them so."""
+    record = _record(key)
+    return key is not None and record is not None and record.get("absolute", False) and not key.use_relative
 
 
 class TrialKey:
@@ -168,6 +208,9 @@ def _remove(obj: bpy.types.Object, keep_basis: bool) -> bool:
     if key is None or record is None:
         return False
     names = our_names(key)
+    if is_absolute_bake(key):
+        key.use_relative = True
+        key.eval_time = 0.0
     actions.remove_action(key)
     for block in reversed([block for block in key.key_blocks if block.name in names]):
         obj.shape_key_remove(block)

@@ -38,6 +38,7 @@ COMMANDS = {
     "benchmark": "time every solver beside its error",
     "dataset": "make training sequences",
     "train": "train the emulator's network",
+    "fit-springs": "learn the springs' constants from simulated motion",
     "bake": "bake a character's secondary motion to shape keys",
 }
 
@@ -63,7 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     command: Command | None = None
     for name, summary in COMMANDS.items():
         if name == chosen:
-            command = importlib.import_module(f"followthrough.cli.{name}")
+            command = importlib.import_module(f"followthrough.cli.{name.replace('-', '_')}")
             command.add_parser(subparsers)
         else:
             subparsers.add_parser(name, help=summary)

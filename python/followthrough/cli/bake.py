@@ -12,13 +12,22 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from followthrough.cli import solver_options
 from followthrough.cli.progress import with_progress
 from followthrough.elastic import QUALITIES
-from followthrough.settings import SOLVERS, Settings, SimulationSettings, SpringSettings, VolumeSettings
+from followthrough.settings import (
+    SOLVERS,
+    EmulatorSettings,
+    Settings,
+    SimulationSettings,
+    SpringSettings,
+    VolumeSettings,
+    default_solver,
+)
 
 if TYPE_CHECKING:
     import bpy
@@ -83,8 +92,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--solver",
         metavar="NAME",
-        default=SOLVERS[0],
-        help=f"dynamics: {SOLVERS[0]} (default), or {SOLVERS[1]}: simulated flesh, finite elements",
+        default=default_solver(),
+        help=f"dynamics: {', '.join(SOLVERS[:-1])} (a network that has learned simulated flesh), or {SOLVERS[-1]} "
+        "(simulated flesh, finite elements) (default %(default)s)",
     )
     _add_solver_arguments(parser)
     parser.add_argument(
@@ -95,6 +105,18 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--stiffness-group", metavar="NAME", help="vertex group of painted stiffness")
     parser.add_argument("--mass-group", metavar="NAME", help="vertex group of painted mass")
+    parser.add_argument(
+        "--output-kind",
+        choices=("keys", "absolute", "pc2"),
+        default="keys",
+        help="relative shape keys, absolute ones in a row, or a point cache (.pc2) beside OUT and a Mesh Cache modifier, "
+        "also for linked meshes (default %(default)s)",
+    )
+    parser.add_argument(
+        "--no-resume",
+        action="store_true",
+        help="begin anew even where an interrupted bake of the same left frames beside OUT",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
@@ -104,9 +126,16 @@ def _add_solver_arguments(parser: argparse.ArgumentParser) -> None:
         "--damping-ratio",
         metavar="Z",
         type=float,
-        help=f"share of critical damping (default {springs.damping_ratio:g}; of implicit-euler {flesh.damping_ratio:g}, "
+        help=f"share of critical damping (default {springs.damping_ratio:g}; of emulator and implicit-euler {flesh.damping_ratio:g}, "
         "beside what backward Euler damps by itself)",
     )
+    parser.add_argument(
+        "--gravity",
+        metavar="G",
+        type=float,
+        help=f"downwards, m/s² for a character 1 m long (default {flesh.gravity:g})",
+    )
+    solver_options.add_amplitude_argument(parser)
     group = parser.add_argument_group("springs")
     group.add_argument(
         "--stiffness",
@@ -116,7 +145,14 @@ def _add_solver_arguments(parser: argparse.ArgumentParser) -> None:
         f"(default {springs.stiffness_range[0]:g}:{springs.stiffness_range[1]:g})",
     )
     group.add_argument("--damping", metavar="KD", type=float, help="spring damping, 1/s, the same everywhere")
-    group = parser.add_argument_group("implicit-euler")
+    group.add_argument(
+        "--no-learned",
+        dest="use_learned",
+        action="store_const",
+        const=False,
+        help="painted springs even where the file has some that were learned from a simulation",
+    )
+    group = parser.add_argument_group("emulator and implicit-euler")
     group.add_argument(
         "--youngs-modulus",
         metavar="E or LOW:HIGH",
@@ -131,19 +167,17 @@ def _add_solver_arguments(parser: argparse.ArgumentParser) -> None:
         help="kg/m³: one for all, or those of paint 0 and 1 "
         f"(default {flesh.density_range[0]:g}:{flesh.density_range[1]:g})",
     )
-    group.add_argument(
-        "--gravity",
-        metavar="G",
-        type=float,
-        help=f"downwards, m/s² for a character 1 m long (default {flesh.gravity:g})",
-    )
+    group = parser.add_argument_group("emulator")
+    solver_options.add_weights_arguments(group)
+    group = parser.add_argument_group("implicit-euler")
     group.add_argument("--quality", choices=QUALITIES, help=f"how exact a frame is (default {flesh.quality})")
 
 
 #: Solver -> the options that it has.
 _OPTIONS = {
-    "springs": ("stiffness", "damping", "damping_ratio"),
-    "implicit-euler": ("youngs_modulus", "density", "gravity", "quality", "damping_ratio"),
+    "springs": ("stiffness", "damping", "use_learned"),
+    "emulator": ("youngs_modulus", "density", "weights", "corrections"),
+    "implicit-euler": ("youngs_modulus", "density", "quality"),
 }
 
 
@@ -151,7 +185,14 @@ def _motion_settings(args: argparse.Namespace) -> Settings:
     solver_options.check_owners(args, _OPTIONS)
     if args.damping is not None and args.damping_ratio is not None:
         raise ValueError("--damping: found together with --damping-ratio, expected one of them")
-    springs = {"stiffness_range": args.stiffness, "damping": args.damping}
+    springs = {
+        "stiffness_range": args.stiffness,
+        "damping": args.damping,
+        "gravity": args.gravity,
+        "use_learned": args.use_learned,
+        # Learned springs are as they were learned, unless something is asked for that they can be compared with.
+        "scale_learned": any(value is not None for value in (args.stiffness, args.damping, args.damping_ratio)),
+    }
     flesh = {
         "youngs_modulus_range": args.youngs_modulus,
         "density_range": args.density,
@@ -164,6 +205,8 @@ def _motion_settings(args: argparse.Namespace) -> Settings:
         solver=args.solver,
         springs=SpringSettings(**_given(springs)),
         simulation=SimulationSettings(**_given(flesh)),
+        emulator=EmulatorSettings(weights=args.weights, corrections=args.corrections or 0),
+        amplitude=args.amplitude,
     )
 
 
@@ -179,7 +222,7 @@ def run(args: argparse.Namespace) -> int:
     except ImportError as problem:
         raise ValueError(_NO_BLENDER) from problem
     from followthrough import blender
-    from followthrough.blender import actions, files
+    from followthrough.blender import actions, files, point_cache
     from followthrough.blender.scene import skeleton_of
 
     groups = blender.PaintGroups(
@@ -187,7 +230,7 @@ def run(args: argparse.Namespace) -> int:
         mass=args.mass_group,
         pins=None if args.pin_groups is None else tuple(_pin_group(text) for text in args.pin_groups),
     )
-    settings = blender.ObjectSettings(motion=motion, groups=groups)
+    settings = blender.ObjectSettings(motion=motion, groups=groups, output=args.output_kind)
     files.require_output(args.output)
     imported = files.open_file(args.input)
     if bpy.app.autoexec_fail:
@@ -214,12 +257,17 @@ def run(args: argparse.Namespace) -> int:
     )
     for scene_name, names in chosen.items():
         scene = bpy.data.scenes[scene_name]
-        report = _bake(scene, dict.fromkeys(names, settings), frames, args.quiet)
+        if args.no_resume:
+            blender.BakeCache(blender.cache_folder(args.output), scene_name, names).remove()
+        report = _bake(scene, dict.fromkeys(names, settings), frames, args)
         if imported:
             scene.frame_start, scene.frame_end = report.start, report.end
             scene.frame_set(report.start)
         _print_report(report)
     files.save_file(args.output, pack=imported)
+    if args.output_kind == "pc2":
+        for name in (name for names in chosen.values() for name in names):
+            print(f"{point_cache.path_of(args.output, name)}: written")
     print(f"{args.output}: written")
     return 0
 
@@ -276,12 +324,31 @@ def _explain_nothing_to_bake() -> None:
     raise ValueError(next(reasons, "no mesh of the file is moved by an armature: choose one with --object"))
 
 
-def _bake(scene: bpy.types.Scene, objects: dict[str, ObjectSettings], frames: FrameRange, quiet: bool) -> BakeReport:
+def _bake(
+    scene: bpy.types.Scene, objects: dict[str, ObjectSettings], frames: FrameRange, args: argparse.Namespace
+) -> BakeReport:
     from followthrough import blender
 
-    bake = blender.Bake(scene, objects, frames)
-    for _ in with_progress(_Steps(bake), "bake", quiet=quiet):
-        pass
+    cache = blender.cache_folder(args.output)
+    bake = blender.Bake(scene, objects, frames, cache, blend=args.output)
+    for caution in bake.cautions:
+        print(f"followthrough: warning: {caution} (--solver implicit-euler)", file=sys.stderr)
+    recovery = bake.recovery
+    try:
+        for _ in with_progress(_Steps(bake), "bake", quiet=args.quiet):
+            pass
+    except KeyboardInterrupt:
+        if recovery.saved_frame is not None:
+            print(
+                f"followthrough: the same command goes on from frame {recovery.saved_frame} ({cache})", file=sys.stderr
+            )
+        raise
+    if recovery.resumed_from is not None:
+        print(f"followthrough: went on from frame {recovery.resumed_from}", file=sys.stderr)
+    if recovery.has_begun_anew:
+        print("followthrough: what an earlier bake left was of something else: begun anew", file=sys.stderr)
+    if recovery.problem is not None:
+        print(f"followthrough: warning: no cache could be written ({recovery.problem})", file=sys.stderr)
     return bake.finish()
 
 
@@ -309,7 +376,7 @@ def _print_report(report: BakeReport) -> None:
             f"largest displacement {entry.largest_displacement:.4g} m, largest residual {entry.largest_residual:.2g} m"
             f"{_cost(entry)}"
         )
-        for warning in entry.warnings:
+        for warning in replace(entry, caution="").warnings:  # which was said at the start
             print(f"followthrough: warning: {warning}", file=sys.stderr)
     print(f"baked in {report.seconds:.1f} s")
 

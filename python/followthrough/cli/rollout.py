@@ -25,6 +25,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("sequence", metavar="SEQ.npz", type=Path, help="sequence file")
     parser.add_argument("-o", "--output", metavar="OUT.npz", type=Path, required=True, help="where to write the result")
     solver_options.add_emulator_arguments(parser)
+    solver_options.add_gravity_argument(parser)
+    solver_options.add_amplitude_argument(parser)
+    parser.set_defaults(solver="emulator")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
@@ -32,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
     """Do it."""
     require_output_folder(args.output)
     sequence = Sequence.load(args.sequence)
-    emulator = solver_options.make_emulator(sequence, args)
+    emulator = solver_options.make_solver(sequence, args)
     result = simulate(sequence, emulator, lambda frames: with_progress(frames, "rollout", quiet=args.quiet))
     result.save(args.output)
     print(f"{args.output}: {result.frame_count} frames of {result.vertex_count} vertices")

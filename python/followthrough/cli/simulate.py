@@ -14,6 +14,7 @@ from followthrough.cli.progress import with_progress
 from followthrough.npz_files import require_output_folder
 from followthrough.sequences import Sequence
 from followthrough.simulation import simulate
+from followthrough.surface_springs import load_embedding, on_surface
 
 
 def add_parser(subparsers: Any) -> None:
@@ -27,8 +28,23 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("sequence", metavar="SEQ.npz", type=Path, help="sequence file")
     parser.add_argument("-o", "--output", metavar="OUT.npz", type=Path, required=True, help="where to write the result")
+    parser.add_argument(
+        "--surface",
+        metavar="VOLUME.npz",
+        type=Path,
+        help="of springs: simulate the surface that tetrahedralize embedded in this volume; OUT is then the surface's sequence",
+    )
     solver_options.add_arguments(parser)
+    solver_options.add_amplitude_argument(parser)
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def _of_surface(sequence: Sequence, args: argparse.Namespace) -> Sequence:
+    """What the springs' options mean on a surface: equilibria are the volume's, everything else is the surface's."""
+    if args.over is not None:
+        sequence = solver_options.over_equilibria(sequence, args.sequence, args)
+        args.over = None
+    return on_surface(sequence, *load_embedding(args.surface, sequence))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -36,6 +52,10 @@ def run(args: argparse.Namespace) -> int:
     solver_options.check(args)
     require_output_folder(args.output)
     sequence = Sequence.load(args.sequence)
+    if args.surface is not None:
+        if args.solver != "springs":
+            raise ValueError(f"--surface: found together with --solver {args.solver}, expected only with springs")
+        sequence = _of_surface(sequence, args)
     solver = solver_options.make_solver(sequence, args)
     unconverged = []
 

@@ -8,9 +8,14 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from followthrough.cli.progress import with_progress
+from followthrough.controls import Amplified, RelativeDamping
 from followthrough.elastic import (
     MATERIALS,
     QUALITIES,
@@ -18,6 +23,7 @@ from followthrough.elastic import (
     ElasticBody,
     ImplicitEuler,
     MaterialName,
+    PredictorCorrector,
 )
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights
@@ -29,13 +35,16 @@ if TYPE_CHECKING:
     from followthrough.sequences import Sequence
     from followthrough.solver import Solver
 
+#: Options of the static equilibria that springs may hang on.
+LAYER_OPTIONS = ("quality", "tolerance", "material", "gravity")
+
 #: Solver -> the options that it has.
 OPTIONS = {
-    "springs": ("springs", "stiffness", "damping", "over"),
-    "emulator": ("weights", "edge_length"),
-    "implicit-euler": ("quality", "tolerance", "material", "gravity"),
+    "springs": ("springs", "stiffness", "damping", "over", "gravity"),
+    "emulator": ("weights", "corrections", "relative_damping", "edge_length", "gravity"),
+    "implicit-euler": ("quality", "tolerance", "material", "gravity", "mass_damping", "stiffness_damping"),
     "central-differences": ("substeps", "material", "gravity"),
-    "quasistatic": ("quality", "tolerance", "material", "gravity"),
+    "quasistatic": LAYER_OPTIONS,
 }
 
 
@@ -44,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--solver",
         metavar="NAME",
-        help="springs (default), emulator (where --weights is given), or finite elements of the sequence's own material: "
+        help="springs (default), emulator (default where --weights is given), or finite elements of the sequence's own material: "
         "implicit-euler, central-differences, or quasistatic (no motion of its own: every frame rests in its pose)",
     )
     springs = parser.add_argument_group("springs")
@@ -93,13 +102,66 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=MATERIALS,
         help=f"{MATERIALS[0]} (default) or {MATERIALS[1]}, linear and without resistance",
     )
-    elastic.add_argument("--gravity", metavar=("X", "Y", "Z"), type=float, nargs=3, help="m/s² (default: none)")
+    elastic.add_argument(
+        "--mass-damping", metavar="ALPHA", type=float, help="of implicit-euler: Rayleigh's alpha, 1/s (default 0)"
+    )
+    elastic.add_argument(
+        "--stiffness-damping", metavar="BETA", type=float, help="of implicit-euler: Rayleigh's beta, s (default 0)"
+    )
+    add_gravity_argument(parser)
+
+
+def add_gravity_argument(parser: argparse.ArgumentParser) -> None:
+    """Of every solver."""
+    parser.add_argument("--gravity", metavar=("X", "Y", "Z"), type=float, nargs=3, help="m/s² (default: none)")
+
+
+def add_amplitude_argument(parser: argparse.ArgumentParser) -> None:
+    """Of every solver, too."""
+    parser.add_argument(
+        "--amplitude",
+        metavar="A",
+        type=float,
+        default=1.0,
+        help="how far the motion goes: 0 is the reference, 1 (default) what the solver says",
+    )
+
+
+def add_weights_arguments(group: argparse._ArgumentGroup) -> None:
+    """How the emulator is run, whatever it moves."""
+    group.add_argument(
+        "--weights",
+        metavar="WEIGHTS.npz",
+        type=Path,
+        help="the network's weights (default: those that come with followthrough)",
+    )
+    group.add_argument(
+        "--corrections",
+        metavar="N",
+        type=int,
+        help="Newton iterations of the true solver, at most, that start from each of the network's frames (default 0)",
+    )
+
+
+def add_layer_arguments(group: argparse._ArgumentGroup) -> None:
+    """Options of the static equilibria alone."""
+    group.add_argument("--quality", choices=QUALITIES, help=f"{', '.join(QUALITIES[:-1])} or {QUALITIES[-1]} (default)")
+    group.add_argument("--tolerance", metavar="T", type=float, help="relative residual (default: the quality's)")
+    group.add_argument("--material", choices=MATERIALS, help=f"{MATERIALS[0]} (default) or {MATERIALS[1]}")
+    group.add_argument("--gravity", metavar=("X", "Y", "Z"), type=float, nargs=3, help="m/s² (default: none)")
 
 
 def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
     """Those of the emulator alone."""
     emulator = parser.add_argument_group("emulator")
-    emulator.add_argument("--weights", metavar="WEIGHTS.npz", type=Path, help="the network's weights")
+    add_weights_arguments(emulator)
+    emulator.add_argument(
+        "--relative-damping",
+        metavar="R",
+        type=float,
+        help="rate at which velocities relative to the reference die down, 1/s; 2 w is critical for what swings at w radians a second "
+        "(default 0)",
+    )
     emulator.add_argument(
         "--edge-length",
         metavar="L",
@@ -145,12 +207,18 @@ def make_solver(sequence: Sequence, args: argparse.Namespace) -> Solver:
     ValueError
         Where sequence and arguments do not make one.
     """
+    solver = _make_plain_solver(sequence, args)
+    amplitude = getattr(args, "amplitude", 1.0)
+    return solver if amplitude == 1.0 else Amplified(solver, amplitude)
+
+
+def _make_plain_solver(sequence: Sequence, args: argparse.Namespace) -> Solver:
     if args.solver == "emulator":
         return make_emulator(sequence, args)
     if args.solver == "springs":
         return _make_springs(sequence, args)
     if args.solver == "quasistatic":
-        return OverQuasistatic(_make_layer(sequence, args))
+        return OverQuasistatic(_make_layer(sequence, args.sequence, args))
     body, gravity = _make_body(sequence, args), args.gravity or (0.0, 0.0, 0.0)
     if args.solver == "central-differences":
         return CentralDifferences(body, sequence.constrained, sequence.dt, substeps=args.substeps, gravity=gravity)
@@ -161,6 +229,8 @@ def make_solver(sequence: Sequence, args: argparse.Namespace) -> Solver:
         quality=args.quality or "converged",
         tolerance=args.tolerance,
         gravity=gravity,
+        mass_damping=args.mass_damping or 0.0,
+        stiffness_damping=args.stiffness_damping or 0.0,
     )
 
 
@@ -170,22 +240,54 @@ def _make_springs(sequence: Sequence, args: argparse.Namespace) -> Solver:
         stiffness, damping = load_constants(args.springs, sequence.vertex_count)
     else:
         stiffness, damping = uniform_constants(sequence.vertex_count, args.stiffness, args.damping)
-    springs = Springs(stiffness, damping, sequence.dt, sequence.constrained)
-    if args.over is not None:
-        return OverQuasistatic(_make_layer(sequence, args), springs)
+    gravity = (0.0, 0.0, 0.0) if args.gravity is None or args.over is not None else args.gravity
+    springs = Springs(stiffness, damping, sequence.dt, sequence.constrained, gravity=gravity)
+    if args.over is not None:  # equilibria sag as it is
+        return OverQuasistatic(_make_layer(sequence, args.sequence, args), springs)
     if len(sequence.tets):  # springs can do without; but not with some that no other solver takes
         sound_body(sequence, args.sequence)
     return springs
 
 
-def _make_layer(sequence: Sequence, args: argparse.Namespace) -> Quasistatic:
+def _make_layer(sequence: Sequence, path: Path, args: argparse.Namespace) -> Quasistatic:
     return Quasistatic(
-        _make_body(sequence, args),
+        sound_body(sequence, path, args.material or MATERIALS[0]),
         sequence.constrained,
         quality=args.quality or "converged",
         tolerance=args.tolerance,
         gravity=args.gravity or (0.0, 0.0, 0.0),
     )
+
+
+def over_equilibria(sequence: Sequence, path: Path, args: argparse.Namespace) -> Sequence:
+    """The sequence with every pose's static equilibrium for its reference. Frames that have not converged are warned of."""
+    layer = _make_layer(sequence, path, args)
+    reference = np.empty_like(sequence.reference)
+    unconverged = []
+    for frame in with_progress(range(sequence.frame_count), "equilibria", quiet=args.quiet):
+        reference[frame] = layer.solve(sequence.reference[frame])
+        if not layer.last_solve.converged:
+            unconverged.append(frame)
+    if unconverged and args.quality in (None, "converged"):
+        print(
+            f"followthrough: warning: {path}: {len(unconverged)} equilibria have not converged, the first is frame {unconverged[0]}",
+            file=sys.stderr,
+        )
+    return replace(sequence, reference=reference)
+
+
+def first_frames(sequence: Sequence, count: int) -> Sequence:
+    """The first frames of a sequence.
+
+    Raises
+    ------
+    ValueError
+        Where it has fewer.
+    """
+    if count > sequence.frame_count:
+        raise ValueError(f"--frames: found {count}, expected at most the {sequence.frame_count} that the sequence has")
+    dynamic = None if sequence.dynamic is None else sequence.dynamic[:count]
+    return replace(sequence, reference=sequence.reference[:count], dynamic=dynamic)
 
 
 def _make_body(sequence: Sequence, args: argparse.Namespace) -> ElasticBody:
@@ -213,17 +315,28 @@ def _require_free_vertex(sequence: Sequence, path: Path) -> None:
         raise ValueError(f"{path}: constrained: found no free vertex, expected at least one")
 
 
-def make_emulator(sequence: Sequence, args: argparse.Namespace) -> Emulator:
-    """The emulator, with the weights that the arguments name."""
-    if args.weights is None:
-        raise ValueError(
-            "--weights: found none, expected a weights file of the emulator; this version brings none of its own: make one with "
-            "followthrough dataset and followthrough train, or use simulate --solver implicit-euler instead"
-        )
-    weights = EmulatorWeights.load(args.weights)
-    sound_body(sequence, args.sequence)
+def make_emulator(sequence: Sequence, args: argparse.Namespace) -> Solver:
+    """The emulator with the weights that the arguments name, or those that come with the package, and what corrects and damps it."""
+    weights = EmulatorWeights.shipped() if args.weights is None else EmulatorWeights.load(args.weights)
+    body = sound_body(sequence, args.sequence)
+    if (args.corrections or 0) < 0:
+        raise ValueError(f"--corrections: found {args.corrections}, expected 0 or more")
+    gravity = args.gravity or (0.0, 0.0, 0.0)
     with _warnings_of(args.sequence):
-        return Emulator.of_sequence(sequence, weights, edge_length=args.edge_length)
+        solver: Solver = Emulator.of_sequence(sequence, weights, gravity=gravity, edge_length=args.edge_length)
+    if args.corrections:
+        corrector = ImplicitEuler(
+            body,
+            sequence.constrained,
+            sequence.dt,
+            quality="fine",
+            most_iterations=args.corrections,
+            gravity=gravity,
+        )
+        solver = PredictorCorrector(solver, corrector)
+    if args.relative_damping:
+        solver = RelativeDamping(solver, args.relative_damping, sequence.dt)
+    return solver
 
 
 @contextmanager

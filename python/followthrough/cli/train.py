@@ -20,11 +20,11 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "train",
         help="train the emulator's network",
-        description="Train a network on a folder of sequences with their true motion (followthrough dataset makes one) and write its "
+        description="Train a network on folders of sequences with their true motion (followthrough dataset makes one) and write its "
         "weights, with the loss curve as a PNG beside them. A checkpoint is kept beside them, too: run the same command again to "
         "continue where it was interrupted or killed. Needs PyTorch: pip install followthrough[training].",
     )
-    parser.add_argument("data", metavar="DIR", type=Path, help="folder of sequence files")
+    parser.add_argument("data", metavar="DIR", type=Path, nargs="+", help="folders of sequence files")
     parser.add_argument("-o", "--output", metavar="W.npz", type=Path, required=True, help="where to write the weights")
     parser.add_argument("--config", metavar="C.toml", type=Path, help="sizes of the network and how it learns")
     parser.add_argument("--steps", metavar="N", type=int, help="optimiser steps, whatever the configuration says")
@@ -51,15 +51,20 @@ def run(args: argparse.Namespace) -> int:
     from followthrough.emulator_weights import TrainedOn
     from followthrough.sequences import Sequence
     from followthrough.training.examples import DataSet
-    from followthrough.training.settings import TrainingSettings
+    from followthrough.training.newton_examples import NewtonDataSet
+    from followthrough.training.settings import NewtonSettings, load_settings
     from followthrough.training.trainer import Trainer, plot_losses
 
     changes = {} if args.steps is None else {"steps": args.steps}
-    settings = TrainingSettings(**changes) if args.config is None else TrainingSettings.load(args.config, **changes)
+    settings = NewtonSettings(**changes) if args.config is None else load_settings(args.config, **changes)
     device = args.device or ("cuda" if torch.cuda.is_available() else "cpu")
     if device not in ("cpu", "cuda") or (device == "cuda" and not torch.cuda.is_available()):
         raise ValueError(f"--device: found {device}, expected cpu, or cuda on a machine that has one")
-    data = DataSet.load(args.data, TrainedOn(), settings.rings)
+    data = (
+        NewtonDataSet.load(args.data)
+        if isinstance(settings, NewtonSettings)
+        else DataSet.load(args.data, TrainedOn(), settings.rings)
+    )
     validation = (
         [] if args.validation is None else [Sequence.load(path) for path in sorted(args.validation.glob("*.npz"))]
     )

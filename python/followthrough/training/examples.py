@@ -11,12 +11,40 @@ from typing import Self
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from followthrough.emulator_weights import TrainedOn
 from followthrough.sequences import Sequence
 from followthrough.training.patches import PatchBatch, Scene
-from followthrough.training.settings import TrainingSettings
+from followthrough.training.settings import LearningSettings, TrainingSettings
+
+
+def load_sequences(folders: list[Path]) -> tuple[dict[str, Sequence], str]:
+    """Read every sequence of some folders that has two frames and a free vertex, by the files' names, with a digest of all.
+
+    Raises
+    ------
+    ValueError
+        Where there is none, or one has no true motion; names the file.
+    """
+    digest = hashlib.sha256()
+    found: dict[str, Sequence] = {}
+    for folder in folders:
+        paths = sorted(folder.glob("*.npz"))
+        if not paths:
+            raise ValueError(
+                f"{folder}: found no sequences, expected a folder of .npz files (followthrough dataset makes one)"
+            )
+        for path in paths:
+            sequence = Sequence.load(path)
+            if sequence.dynamic is None:
+                raise ValueError(f"{path}: found no dynamic, expected sequences with their true motion")
+            if sequence.frame_count > 1 and not sequence.constrained.all():
+                found[str(path)] = sequence
+                digest.update(f"{path.name} {sequence.dynamic.shape}".encode() + sequence.dynamic[-1].tobytes())
+    if not found:
+        raise ValueError(f"{folders[0]}: found no sequence with two frames and a free vertex, expected at least one")
+    return found, digest.hexdigest()
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +72,7 @@ class Example:
     @classmethod
     def of_sequence(cls, name: str, sequence: Sequence, trained_on: TrainedOn, rings: int) -> Self:
         """Take a sequence that has its true motion."""
-        if sequence.dynamic is None:
-            raise ValueError(f"{name}: found no dynamic, expected sequences with their true motion")
+        assert sequence.dynamic is not None
         scene = Scene.of_sequence(sequence, trained_on, rings)
         edge = trained_on.edge_length / scene.scale
         return cls(
@@ -58,7 +85,7 @@ class Example:
 
 
 class DataSet:
-    """All sequences of a folder, in memory.
+    """All sequences of a folder, or of several, in memory.
 
     Parameters
     ----------
@@ -74,30 +101,18 @@ class DataSet:
         self._steps = np.array([len(example.dynamic) - 1 for example in examples])
 
     @classmethod
-    def load(cls, folder: Path, trained_on: TrainedOn, rings: int) -> Self:
-        """Read every .npz of a folder.
+    def load(cls, folders: list[Path], trained_on: TrainedOn, rings: int) -> Self:
+        """Read every .npz of some folders.
 
         Raises
         ------
         ValueError
             Where there is none, or one is not a sequence with its true motion; names the file.
         """
-        paths = sorted(folder.glob("*.npz"))
-        if not paths:
-            raise ValueError(
-                f"{folder}: found no sequences, expected a folder of .npz files (followthrough dataset makes one)"
-            )
-        digest = hashlib.sha256()
-        examples = []
-        for path in paths:
-            sequence = Sequence.load(path)
-            example = Example.of_sequence(str(path), sequence, trained_on, rings)
-            if len(example.dynamic) > 1 and len(example.scene.centres):
-                examples.append(example)
-                digest.update(f"{path.name} {example.dynamic.shape}".encode() + example.dynamic[-1].tobytes())
-        if not examples:
-            raise ValueError(f"{folder}: found no sequence with two frames and a free vertex, expected at least one")
-        return cls(examples, digest.hexdigest())
+        sequences, digest = load_sequences(folders)
+        return cls(
+            [Example.of_sequence(name, sequence, trained_on, rings) for name, sequence in sequences.items()], digest
+        )
 
     @property
     def frame_count(self) -> int:
@@ -140,3 +155,10 @@ class DataSet:
             )
             changes.append(example.dynamic[t + 1, centres] - dynamic[0, centres])
         return PatchBatch.join(parts), torch.from_numpy(np.concatenate(changes))
+
+    def loss(self, network: nn.Module, settings: LearningSettings, step: int, device: str) -> Tensor:
+        """Mean square error of a change, the network's metres squared, on the batch of a step."""
+        assert isinstance(settings, TrainingSettings)
+        batch, changes = self.batch(settings, step)
+        loss: Tensor = (network(batch.to(device)) - changes.to(device)).square().mean()
+        return loss

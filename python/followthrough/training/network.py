@@ -86,8 +86,10 @@ class PatchNetwork(nn.Module):
         Raises
         ------
         ValueError
-            Where its rings differ in their widths, or only some of its layers have biases.
+            Where its rings differ in their widths, or only some of its layers have biases, or it corrects Newton steps.
         """
+        if weights.newton is not None:
+            raise ValueError("weights: found a network that corrects Newton steps (patch-newton), expected patch")
 
         def widths(name: str) -> list[int]:
             return [len(weight) for weight, _ in weights.layers(name)]

@@ -20,7 +20,8 @@ from followthrough.evaluation import evaluate
 from followthrough.npz_files import written_whole
 from followthrough.sequences import Sequence
 from followthrough.training.examples import DataSet
-from followthrough.training.settings import TrainingSettings
+from followthrough.training.newton_examples import NewtonDataSet
+from followthrough.training.settings import NewtonSettings, TrainingSettings
 
 _FORMAT = "followthrough training 1"
 
@@ -61,8 +62,8 @@ class Trainer:
 
     def __init__(
         self,
-        data: DataSet,
-        settings: TrainingSettings,
+        data: DataSet | NewtonDataSet,
+        settings: TrainingSettings | NewtonSettings,
         trained_on: TrainedOn,
         validation: Iterable[Sequence] = (),
         device: str = "cpu",
@@ -84,12 +85,11 @@ class Trainer:
         self.scores: list[Score] = []
 
     def take_step(self) -> float:
-        """Learn from one batch; returns the loss, the mean square error of a change in the network's metres squared."""
+        """Learn from one batch; returns the loss, a weighted mean square error."""
         start = time.perf_counter()
-        batch, changes = self.data.batch(self.settings, self.step)
         for group in self.optimizer.param_groups:
             group["lr"] = self.settings.learning_rate_at(self.step)
-        loss = (self.network(batch.to(self.device)) - changes.to(self.device)).square().mean()
+        loss = self.data.loss(self.network, self.settings, self.step, self.device)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.largest_gradient)

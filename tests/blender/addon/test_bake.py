@@ -2,6 +2,7 @@
 """Bake, Clear, cancelling and refusing: what the file has in it afterwards."""
 
 import json
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -9,6 +10,8 @@ import bpy
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
+from followthrough.blender import bake_recovery
 
 
 def keys(obj: bpy.types.Object) -> list[str]:
@@ -211,6 +214,64 @@ def test_slices_give_what_a_bake_at_once_gives(addon: ModuleType, painted: bpy.t
     assert statuses[0] == f"Baking frame 1 of {bake.total}"
     assert statuses[4].startswith(f"Baking frame 5 of {bake.total}, 0:0")
     assert statuses[4].endswith(" left")
+
+
+@pytest.fixture
+def cached(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Every frame goes to the cache of a file that is saved here."""
+    monkeypatch.setattr(bake_recovery, "SAVE_INTERVAL", 0.0)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    return tmp_path
+
+
+def stopped_bake(addon: ModuleType, obj: bpy.types.Object) -> int | None:
+    bake = running_bake(addon, obj)
+    while bake.done < 6:
+        bake.advance(0.0)
+    bake.cancel()
+    frame: int | None = bake.saved_frame
+    return frame
+
+
+def test_a_stopped_bake_is_resumed(addon: ModuleType, painted: bpy.types.Object, cached: Path) -> None:
+    name = painted.name
+    bpy.ops.followthrough.bake()
+    at_once = points(painted)
+    bpy.ops.followthrough.clear()
+    before = contents()
+    assert stopped_bake(addon, painted) == 6
+    assert contents() == before
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)  # as after a crash
+    painted = bpy.data.objects[name]
+    bake = running_bake(addon, painted)
+    while not bake.advance(0.0):
+        pass
+    bake.finish()
+    assert bake.notes() == ("Resumed from frame 6",)
+    np.testing.assert_array_equal(points(painted), at_once)
+    assert [path.name for path in cached.iterdir() if path.is_dir()] == []
+
+
+def test_a_stopped_bake_can_be_discarded(addon: ModuleType, painted: bpy.types.Object, cached: Path) -> None:
+    assert not bpy.ops.followthrough.discard_stopped_bake.poll()
+    stopped_bake(addon, painted)
+    assert (cached / "shot_followthrough_cache").is_dir()
+    assert bpy.ops.followthrough.discard_stopped_bake() == {"FINISHED"}
+    assert not (cached / "shot_followthrough_cache").exists()
+    assert not bpy.ops.followthrough.discard_stopped_bake.poll()
+
+
+def test_a_stopped_bake_of_other_paint_begins_anew(addon: ModuleType, painted: bpy.types.Object, cached: Path) -> None:
+    stopped_bake(addon, painted)
+    painted.vertex_groups["Followthrough Pins"].add([0, 1, 2], 0.5, "REPLACE")
+    bake = running_bake(addon, painted)
+    while not bake.advance(0.0):
+        pass
+    bake.finish()
+    (note,) = bake.notes()
+    assert "has changed" in note
+    assert [path.name for path in cached.iterdir() if path.is_dir()] == []
 
 
 def test_a_missing_pin_group_is_an_error(painted: bpy.types.Object) -> None:

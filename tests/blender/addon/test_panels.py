@@ -5,11 +5,14 @@ A window's layout cannot be had in the background, so the panels draw into one t
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import bpy
 import pytest
+
+from followthrough.blender import bake_recovery
 
 
 class RecordingLayout:
@@ -68,6 +71,26 @@ def test_an_object_that_is_no_mesh(addon: ModuleType) -> None:
     assert draw(addon) == {"Followthrough": ["Select a skinned mesh"]}
 
 
+def test_a_stopped_bake_changes_the_button(
+    addon: ModuleType, painted: bpy.types.Object, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(bake_recovery, "SAVE_INTERVAL", 0.0)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    settings = addon.properties.bake_settings
+    bake = addon.bake.session.BakeSession(
+        bpy.context.scene, {painted.name: settings.object_settings(painted)}, settings.frame_range(painted)
+    )
+    while bake.done < 6:
+        bake.advance(0.0)
+    bake.cancel()
+    assert "Resume Baking from Frame 6" in draw(addon)["Followthrough"]
+    painted.followthrough.frequency_soft *= 1.5
+    assert "Bake 12 Frames" in draw(addon)["Followthrough"]
+    painted.followthrough.frequency_soft /= 1.5
+    assert bpy.ops.followthrough.discard_stopped_bake() == {"FINISHED"}
+    assert "Bake 12 Frames" in draw(addon)["Followthrough"]
+
+
 def test_an_armature_offers_its_meshes(addon: ModuleType, character: bpy.types.Object) -> None:
     bpy.context.view_layer.objects.active = character.parent
     (texts,) = draw(addon).values()
@@ -83,7 +106,7 @@ def test_a_mesh_without_armature(addon: ModuleType) -> None:
 def test_a_character_before_and_after_add(addon: ModuleType, character: bpy.types.Object) -> None:
     assert list(draw(addon)) == ["Followthrough"]
     bpy.ops.followthrough.add()
-    assert list(draw(addon)) == ["Followthrough", "Paint", "Motion", "Frames", "Volume"]
+    assert list(draw(addon)) == ["Followthrough", "Paint", "Motion", "Learned Springs", "Frames", "Volume"]
     assert "Bake 12 Frames" in draw(addon)["Followthrough"]
 
 
@@ -97,6 +120,38 @@ def test_a_linked_mesh(addon: ModuleType, painted: bpy.types.Object, tmp_path: A
     bpy.context.view_layer.objects.active = bpy.data.objects["Column"]
     assert "linked" in " ".join(draw(addon)["Followthrough"])
     assert not bpy.ops.followthrough.bake.poll()
+
+
+def test_a_linked_mesh_on_a_local_object_is_baked_to_a_point_cache(
+    addon: ModuleType, character: bpy.types.Object, tmp_path: Path
+) -> None:
+    library, name, armature = str(tmp_path / "library.blend"), character.name, character.parent.name
+    frames = bpy.context.scene.frame_start, bpy.context.scene.frame_end
+    bpy.data.libraries.write(library, {character})
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    addon.unregister()
+    addon.register()
+    with bpy.data.libraries.load(library, link=True) as (_there, here):
+        here.objects = [name, armature]
+    for obj in here.objects:
+        bpy.context.scene.collection.objects.link(obj)
+        obj.select_set(True)
+    bpy.ops.object.make_local(type="SELECT_OBJECT")
+    bpy.context.scene.frame_start, bpy.context.scene.frame_end = frames
+    obj = bpy.data.objects[name]
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    assert obj.data.library is not None
+    (texts,) = draw(addon).values()
+    assert "Point Cache" in " ".join(texts)
+    obj.followthrough.output = "pc2"
+    assert bpy.ops.followthrough.add() == {"FINISHED"}
+    assert "Output" in draw(addon)["Frames"]
+    assert bpy.ops.followthrough.bake() == {"FINISHED"}
+    assert f"Baked {frames[0]} to {frames[1]}" in draw(addon)["Followthrough"]
+    assert obj.modifiers[0].type == "MESH_CACHE"
+    assert bpy.ops.followthrough.remove() == {"FINISHED"}
+    assert [modifier.type for modifier in obj.modifiers] == ["ARMATURE"]
 
 
 @pytest.mark.parametrize("target", ["STIFFNESS", "MASS", "PINS"])
@@ -131,17 +186,28 @@ def test_an_action_that_is_not_there_is_told(addon: ModuleType, painted: bpy.typ
 
 
 def test_every_solver_shows_its_own_settings(addon: ModuleType, painted: bpy.types.Object) -> None:
-    springs = draw(addon)["Motion"]
-    assert springs[-1] == "Damping"
-    assert "Gravity" not in springs
-    painted.followthrough.solver = "implicit-euler"
-    simulation = draw(addon)["Motion"]
-    assert [text for text in simulation if text not in springs] == [
-        "Softest (kPa)",
-        "Stiffest (kPa)",
-        "Gravity",
-        "Quality",
-    ]
+    texts = {}
+    for solver in ("springs", "emulator", "implicit-euler"):
+        painted.followthrough.solver = solver
+        texts[solver] = draw(addon)["Motion"]
+    texts = {solver: [text for text in found if text] for solver, found in texts.items()}
+    texts["springs"] = [text.removesuffix(" (Hz)") for text in texts["springs"]]  # before Blender 4.5
+    assert texts["springs"] == ["Solver", "Softest", "Stiffest", "Damping", "Gravity", "Amplitude"]
+    flesh = ["Softest (kPa)", "Stiffest (kPa)", "Damping", "Gravity", "Amplitude"]
+    assert texts["emulator"][1:] == [*flesh, "Corrections", "Weights"]
+    assert texts["implicit-euler"][1:] == [*flesh, "Quality"]
+
+
+def test_what_the_emulator_cannot_do_is_said_above_the_button(
+    addon: ModuleType, painted: bpy.types.Object, tmp_path: Any
+) -> None:
+    painted.followthrough.solver = "emulator"
+    painted.followthrough.weights = str(tmp_path / "nowhere.npz")
+    texts = draw(addon)["Followthrough"]
+    assert "found no such file" in " ".join(texts)
+    assert texts[-1] == "Bake 12 Frames"
+    painted.followthrough.solver = "springs"
+    assert draw(addon)["Followthrough"] == ["", "Bake 12 Frames"]
 
 
 def test_every_choice_of_frames(addon: ModuleType, painted: bpy.types.Object) -> None:

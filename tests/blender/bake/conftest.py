@@ -6,24 +6,37 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from plain_network import random_parameters
 
-from followthrough.blender import Bake, BakeReport, FrameRange, ObjectSettings, read_paint, read_surface
+from followthrough.blender import (
+    Bake,
+    BakeReport,
+    FrameRange,
+    ObjectSettings,
+    read_paint,
+    read_surface,
+    write_group,
+)
 from followthrough.blender.rig_reading import make_reader
 from followthrough.blender.scene import require_bakeable
 from followthrough.blender.shape_keys import our_names, read_points
+from followthrough.emulator_weights import EmulatorWeights, TrainedOn
 from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings, VolumeSettings
 
 RINGS, SEGMENTS = 9, 8
 
+SMALL_NETWORK = {"inertia": (8, 8), "force": (12, 8), "displacement": (16,)}
+
 #: A coarse volume, so that a test takes no time.
-COARSE = Settings(volume=VolumeSettings(cells=8))
+COARSE = Settings(solver="springs", volume=VolumeSettings(cells=8))
 
 
 @dataclass
@@ -176,3 +189,19 @@ def make_character() -> Callable[..., Character]:
 def character() -> Character:
     """The usual one."""
     return build_character()
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    """A small network of random weights, which moves flesh somehow."""
+    path = tmp_path / "network.npz"
+    EmulatorWeights(random_parameters(0, **SMALL_NETWORK), TrainedOn(stiffness_range=(0.01, 150.0))).save(path)
+    return path
+
+
+@pytest.fixture
+def held(character: Character) -> Character:
+    """The column with its lower third pinned, a soft collar, and the rest free."""
+    heights = np.array([vertex.co.z for vertex in character.mesh.data.vertices]) / character.size
+    write_group(character.mesh, "Followthrough Pins", np.where(heights < 0.3, 1.0, np.where(heights < 0.45, 0.4, 0.0)))
+    return character

@@ -28,13 +28,14 @@ def springs(stiffness: float, damping_ratio: float) -> ObjectSettings:
     """The same spring everywhere, in a coarse volume."""
     return ObjectSettings(
         motion=Settings(
+            solver="springs",
             volume=VolumeSettings(cells=8),
             springs=SpringSettings(stiffness_range=(stiffness, stiffness), damping_ratio=damping_ratio),
         )
     )
 
 
-COARSE = ObjectSettings(motion=Settings(volume=VolumeSettings(cells=8)))
+COARSE = ObjectSettings(motion=Settings(solver="springs", volume=VolumeSettings(cells=8)))
 SOFT = springs(60.0, 0.1)
 
 

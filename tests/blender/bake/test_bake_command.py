@@ -8,13 +8,14 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 
-from followthrough.blender import baked_range, shape_keys
+from followthrough.blender import bake_recovery, baked_range, cache_folder, shape_keys
 from followthrough.cli import main
 
 QUICK = ["--cells", "8", "--quiet"]
@@ -219,8 +220,12 @@ def test_bad_choices_are_refused(character, tmp_path, capfd):
     fails(capfd, [source, "-o", target, "--stiffness", "0"], "0 < low")
     fails(capfd, [source, "-o", target, "--damping", "nan"], "finite")
     fails(capfd, [source, "-o", target, "--damping", "3", "--damping-ratio", "0.3"], "expected one of them")
-    fails(capfd, [source, "-o", target, "--solver", "magic"], "expected springs or implicit-euler")
-    fails(capfd, [source, "-o", target, "--youngs-modulus", "5"], "expected only with implicit-euler")
+    fails(capfd, [source, "-o", target, "--solver", "magic"], "expected springs or emulator or implicit-euler")
+    fails(
+        capfd,
+        [source, "-o", target, "--solver", "springs", "--youngs-modulus", "5"],
+        "only with emulator or implicit-euler",
+    )
     flesh = [source, "-o", target, "--solver", "implicit-euler"]
     fails(capfd, [*flesh, "--stiffness", "5"], "expected only with springs")
     fails(capfd, [*flesh, "--youngs-modulus", "5:1"], "youngs_modulus_range: found 5 to 1")
@@ -265,6 +270,50 @@ def test_interrupted_it_leaves_nothing_behind(character, tmp_path, monkeypatch, 
         signal.signal(signal.SIGINT, previous)
     assert status == 130
     assert target.read_bytes() == b"as it was"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.blend", "out.blend"]
+
+
+def test_killed_the_same_command_goes_on(character, tmp_path, capfd):
+    source, target, whole = save(tmp_path / "in.blend"), tmp_path / "out.blend", tmp_path / "whole.blend"
+    options = ["--start", "1", "--end", "400", "--solver", "implicit-euler", *QUICK]
+    program = (
+        "import sys; from followthrough.blender import bake_recovery; bake_recovery.SAVE_INTERVAL = 0.05; "
+        "from followthrough.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    arguments = [sys.executable, "-c", program, "bake", str(source), "-o", str(target), *options]
+    folder = cache_folder(target)
+    with subprocess.Popen(arguments) as process:
+        while not list(folder.glob("*.npz")):
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.kill()
+    assert not target.exists()
+    assert folder.is_dir()
+    assert main(["bake", str(source), "-o", str(target), *options]) == 0
+    assert "went on from frame" in capfd.readouterr().err
+    assert not folder.exists()
+    resumed = character.offsets()
+    assert main(["bake", str(source), "-o", str(whole), *options]) == 0
+    assert "went on" not in capfd.readouterr().err
+    assert character.offsets().tobytes() == resumed.tobytes()
+
+
+def test_a_bake_can_be_made_to_begin_anew(character, tmp_path, capfd, monkeypatch):
+    source, target = save(tmp_path / "in.blend"), tmp_path / "out.blend"
+    monkeypatch.setattr(bake_recovery, "SAVE_INTERVAL", 0.0)
+
+    def interrupted(_steps, *_args, **_options):
+        for index, step in enumerate(_steps):
+            if index == 4:
+                raise KeyboardInterrupt
+            yield step
+
+    with monkeypatch.context() as patch:
+        patch.setattr("followthrough.cli.bake.with_progress", interrupted)
+        assert main(["bake", str(source), "-o", str(target), *QUICK]) == 130
+    assert "the same command goes on from frame 5" in capfd.readouterr().err
+    assert main(["bake", str(source), "-o", str(target), "--no-resume", *QUICK]) == 0
+    assert "went on" not in capfd.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.blend", "out.blend"]
 
 

@@ -12,7 +12,9 @@ from followthrough.blender.shape_keys import read_points
 from followthrough.settings import Settings, SpringSettings, VolumeSettings
 
 #: Swings by a fifth of the character's size.
-SOFT = Settings(volume=VolumeSettings(cells=8), springs=SpringSettings(stiffness_range=(600.0, 2400.0)))
+SOFT = Settings(
+    solver="springs", volume=VolumeSettings(cells=8), springs=SpringSettings(stiffness_range=(600.0, 2400.0))
+)
 
 
 def two_armature_modifiers(character):

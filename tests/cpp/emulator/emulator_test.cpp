@@ -296,3 +296,64 @@ TEST_CASE("what does not fit is refused by name, and leaves the state as it was"
   CHECK(after.counters == state.counters);
   for (std::size_t k = 0; k < state.arrays.size(); ++k) CHECK(same_bits(after.arrays[k], state.arrays[k]));
 }
+
+TEST_CASE("with gravity a network sees its scene from a frame of reference that falls") {
+  const EmulatedBody plain = block_of_cubes(3, 2, 2);
+  EmulatedBody heavy = plain;
+  heavy.gravity << 1.0, 0.0, -9.81;
+  const Eigen::RowVector3d fall = 0.5 * plain.dt * plain.dt * heavy.gravity.transpose();
+  const Positions rest = plain.rest_positions;
+  const auto seen = [&](Positions positions, double frames) {  // so many frames from now
+    positions.rowwise() -= frames * frames * fall;
+    return positions;
+  };
+  for (const bool sees_reference : {true, false}) {
+    CAPTURE(sees_reference);
+    const PatchNetwork network = random_network(7, {{16, 16}, {24, 16}, {24}, 1, sees_reference, true});
+    Emulator here(heavy, network), falling(plain, network);
+    here.reset(rest);
+    double moved = 0;
+    for (int frame = 1; frame <= 8; ++frame) {
+      SolverState state = here.state();
+      state.arrays[1] = seen(state.arrays[1], -1);
+      state.arrays[2] = seen(state.arrays[2], -2);
+      state.arrays[4] = seen(state.arrays[4], -1);
+      falling.restore(state);
+      const Positions& there = falling.step(seen(swinging(rest, frame), 1));
+      const Positions& result = here.step(swinging(rest, frame));
+      CHECK((seen(result, 1) - there).cwiseAbs().maxCoeff() < 1e-6);
+      for (Eigen::Index v = 0; v < rest.rows(); ++v) {
+        if (plain.constrained[v]) CHECK(result.row(v) == swinging(rest, frame).row(v));
+      }
+      moved = std::max(moved, (result - swinging(rest, frame)).cwiseAbs().maxCoeff());
+    }
+    CHECK(moved > 0.01);
+  }
+}
+
+TEST_CASE("a network that has learned nothing but inertia falls as backward Euler does") {
+  constexpr float small = 1e-2f;  // where a tanh is linear
+  PatchNetwork network = random_network(0, {{3, 3}, {1, 1}, {3}, 1, true, false});
+  network.inertia[0].weight.setZero();
+  for (int axis = 0; axis < 3; ++axis) {
+    network.inertia[0].weight(axis, axis) = small;       // u(t) ...
+    network.inertia[0].weight(axis, 3 + axis) = -small;  // ... - u(t-1)
+  }
+  network.inertia[1].weight.setIdentity();
+  network.forces[0][0].weight.setZero();
+  network.displacement[0].weight.setIdentity();
+  network.displacement[1].weight = Eigen::Matrix3f::Identity() / small;
+  EmulatedBody body = block_of_cubes(3, 2, 2, 0.05);
+  body.gravity << 0.3, 0.0, -9.81;
+  Emulator emulator(body, network);
+  emulator.reset(body.rest_positions);
+  for (int frame = 1; frame <= 6; ++frame) {
+    const Positions& positions = emulator.step(body.rest_positions);
+    // u(t+1) = 2 u(t) - u(t-1) + h^2 g
+    const Eigen::RowVector3d expected = 0.5 * frame * (frame + 1) * body.dt * body.dt * body.gravity.transpose();
+    for (Eigen::Index v = 0; v < positions.rows(); ++v) {
+      const Eigen::RowVector3d fallen = positions.row(v) - body.rest_positions.row(v);
+      CHECK((fallen - (body.constrained[v] ? Eigen::RowVector3d(0.0, 0.0, 0.0) : expected)).norm() < 1e-3 * expected.norm());
+    }
+  }
+}

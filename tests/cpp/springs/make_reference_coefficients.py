@@ -12,9 +12,13 @@ mpmath.mp.dps = 120
 
 def factors(stiffness: float, damping: float, duration: float) -> list[mpmath.mpf]:
     """decay, impulse, impulse_slope, restoring, acceleration, acceleration_slope of the doubles given, exactly."""
-    t = mpmath.mpf(duration)
-    ks = mpmath.mpf(stiffness) * t**2
-    kd = mpmath.mpf(damping) * t
+    return factors_of(mpmath.mpf(stiffness), mpmath.mpf(damping), mpmath.mpf(duration))
+
+
+def factors_of(stiffness: mpmath.mpf, damping: mpmath.mpf, duration: mpmath.mpf) -> list[mpmath.mpf]:
+    """The same of numbers of any precision."""
+    ks = stiffness * duration**2
+    kd = damping * duration
     if ks == 0 and kd == 0:
         return [mpmath.mpf(v) for v in (1, 1, 1, 0)] + [mpmath.mpf(1) / 2, mpmath.mpf(1) / 6]
     if ks == 0:

@@ -269,3 +269,43 @@ TEST_CASE("input that cannot be used is refused and changes nothing") {
     CHECK(same_bits(after.arrays[k], before.arrays[k]));
   }
 }
+
+TEST_CASE("springs rest where gravity and stiffness are even, and pinned vertices do not sag") {
+  const Vector stiffness = Vector::LinSpaced(5, 100.0, 3000.0), damping = Vector::Constant(5, 12.0);
+  Mask pinned = Mask::Constant(5, false);
+  pinned[2] = true;
+  const Eigen::Vector3d gravity(0.5, 0.0, -9.81);
+  Springs springs(stiffness, damping, dt, pinned, gravity);
+  const Positions rest = Positions::Random(5, 3);
+  springs.reset(rest);
+  Positions settled;
+  for (int frame = 0; frame < 240; ++frame) settled = springs.step(rest, &rest);
+  for (Eigen::Index v = 0; v < 5; ++v) {
+    if (pinned[v]) {
+      CHECK(settled.row(v) == rest.row(v));
+    } else {
+      CHECK((settled.row(v) - rest.row(v) - gravity.transpose() / stiffness[v]).norm() < 1e-9);
+    }
+  }
+}
+
+TEST_CASE("gravity adds its own motion to springs, and nothing else") {
+  const std::vector<Positions> motion = random_motion(40, 8, 3);
+  Vector stiffness = Vector::LinSpaced(40, 50.0, 5000.0), damping = Vector::LinSpaced(40, 0.0, 90.0);
+  const Eigen::Vector3d gravity(0.0, 3.0, -9.81);
+  Springs plain(stiffness, damping, dt), heavy(stiffness, damping, dt, Mask(), gravity),
+      still(stiffness, damping, dt, Mask(), gravity);
+  const std::vector<Positions> without = run(plain, motion), with = run(heavy, motion);
+  const Positions origin = Positions::Zero(40, 3);
+  still.reset(origin);
+  for (std::size_t k = 0; k < with.size(); ++k) {
+    CHECK((with[k] - without[k] - still.step(origin, &origin)).cwiseAbs().maxCoeff() < 1e-11);
+  }
+  heavy.reset(motion[0]);
+  heavy.step(motion[1], &motion[2]);
+  const Positions ahead = heavy.evaluate(1.0, motion[2], &motion[3]);
+  CHECK((ahead - heavy.step(motion[2], &motion[3])).cwiseAbs().maxCoeff() < 1e-11);
+  stiffness[7] = 0.0;
+  CHECK_THROWS_AS(Springs(stiffness, damping, dt, Mask(), gravity), InvalidInput);
+  CHECK_THROWS_AS(Springs(stiffness, damping, dt, Mask(), {0.0, std::nan(""), 0.0}), InvalidInput);
+}

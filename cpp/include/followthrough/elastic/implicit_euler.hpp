@@ -57,15 +57,23 @@ class ImplicitEuler final : public Solver {
   void reset(ConstPositions reference) override;
   /// A step that does not converge is reported, not refused: it keeps the best positions it has found, finite ones always.
   const Positions& step(ConstPositions reference, const Positions* next_reference = nullptr) override;
+  /// @brief The same step, for which somebody else has an idea where it leads.
+  /// @param prediction (n,3) where Newton's method starts, m, unless its own guess has the lower incremental potential (which a
+  ///   prediction that is not finite never has)
+  /// @param reference as for step
+  /// @throws InvalidInput as step does
+  const Positions& step_from(ConstPositions prediction, ConstPositions reference);
   const StepReport& last_step() const;
 
   /// Arrays: positions, positions before them, reference. Counters: frames since the reset.
   SolverState state() const override;
+  std::size_t frames_in_state() const override { return 2; }
   void restore(const SolverState& state) override;
 
  private:
   class Step;
   struct Parts;
+  const Positions& take_step(ConstPositions reference, const ConstPositions* prediction);
   std::unique_ptr<Parts> parts_;
 };
 

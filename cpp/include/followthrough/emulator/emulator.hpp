@@ -25,8 +25,12 @@ struct EmulatedBody {
   Vector density;            ///< (n,) kg/m3; a tet has the mean of its vertices'
   double dt = 0;             ///< s a frame
   double edge_length = 0;    ///< m: edge of the cubes that the tets fill; 0: that of cubes of six tets with the median tet's volume
+  Eigen::Vector3d gravity = Eigen::Vector3d::Zero();  ///< m/s2, see Emulator
 };
 
+/// A network that has never felt gravity moves bodies in it all the same: what is seen from a frame of reference that falls freely
+/// has no weight. So positions enter as y(t + k) = x(t + k) - (k h)^2 g / 2, the history, the reference and the neighbours' alike,
+/// and the prediction is carried back. Backward Euler's equation is met in the one frame exactly where it is in the other.
 class Emulator final : public Solver {
  public:
   /// @throws InvalidInput on wrong shapes, constants that are not positive, a free vertex without mass, or as require_network
@@ -53,6 +57,7 @@ class Emulator final : public Solver {
   /// Arrays: positions of the last three frames, the newest first, then the reference of the last two. Counters: frames since the
   /// reset.
   SolverState state() const override;
+  std::size_t frames_in_state() const override { return 3; }
   void restore(const SolverState& state) override;
 
  private:

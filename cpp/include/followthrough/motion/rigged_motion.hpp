@@ -82,6 +82,7 @@ class RiggedMotion {
   class Worker;
 
   RiggedCharacter character_;
+  Tets corners_;  // (v,4) of the tets that carry the surface's vertices
   Solver& solver_;
   int threads_;
   RigPose ahead_pose_;

@@ -19,8 +19,11 @@ class Springs final : public Solver {
   /// @param damping (n,) kd: damping over mass, 1/s, 0 or more; 2 sqrt(ks) is critical
   /// @param dt s a frame, more than 0
   /// @param pinned (n,) vertices that follow the reference exactly, or empty: none
-  /// @throws InvalidInput on a wrong shape, and on negative or non-finite constants
-  Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMask pinned = Mask());
+  /// @param gravity m/s^2. A spring hangs by gravity / ks below its target: in between the same equation holds, so nothing else
+  /// changes
+  /// @throws InvalidInput on a wrong shape, on negative or non-finite constants, and where gravity acts on what no spring holds
+  Springs(ConstVector stiffness, ConstVector damping, double dt, ConstMask pinned = Mask(),
+          const Eigen::Vector3d& gravity = Eigen::Vector3d::Zero());
 
   Eigen::Index vertex_count() const override { return stiffness_.size(); }
   double dt() const { return dt_; }
@@ -46,6 +49,7 @@ class Springs final : public Solver {
   double dt_;
   std::vector<Index> pinned_;  // ascending
   Values factors_;             // of one frame, in groups of vertices (SpringsFactor)
+  Positions sag_;              // from the target to where the spring rests, m; no rows: nowhere any
   Positions positions_, velocities_, reference_, before_;
   std::int64_t frames_ = -1;  // since the reset; -1: never reset
 };

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Learn from Simulation: simulates some frames as flesh, and gives the springs the constants that come closest to it."""
+
+import bpy
+from bpy.types import Operator
+
+from followthrough.blender import FrameRange, Learning, LearningReport, why_not_bakeable
+
+from ..bake.operator import StepwiseOperator
+from ..bake.session import BakeSession, idle
+from ..characters import selected_characters
+from ..properties.bake_settings import object_settings
+
+
+class FOLLOWTHROUGH_OT_learn(StepwiseOperator, Operator):
+    bl_idname = "followthrough.learn"
+    bl_label = "Learn from Simulation"
+    bl_description = (
+        "Simulate these frames of the selected characters as elastic flesh, and give every vertex the spring that comes "
+        "closest to it. The springs then bake any other motion in an instant"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    doing = "Learning from Simulation"
+    cancelled = "Learning cancelled, nothing was changed"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not idle(cls):
+            return False
+        characters = selected_characters(context)
+        if not characters:
+            cls.poll_message_set("Add Followthrough to a mesh first")
+            return False
+        reason = why_not_bakeable(characters[0])
+        if reason is not None:
+            cls.poll_message_set(reason)
+            return False
+        return True
+
+    def _begin(self, context: bpy.types.Context) -> BakeSession:
+        characters = selected_characters(context)
+        if not characters:
+            raise ValueError("Add Followthrough to a mesh first")
+        settings = {obj.name: object_settings(obj) for obj in characters}
+        frames = FrameRange(characters[0].followthrough.learn_start, characters[0].followthrough.learn_end)
+        return BakeSession(context.scene, settings, frames, Learning, "Learning, step", "Keeping springs")
+
+    def _report(self, report: LearningReport, notes: tuple[str, ...]) -> None:
+        for learned in report.objects:
+            left = learned.rmse / learned.reference_rmse if learned.reference_rmse else 0.0
+            self.report(
+                {"INFO"},
+                f"{learned.name}: {learned.learned} of {learned.vertices} vertices have learned in {report.seconds:.1f} s; "
+                f"{left:.0%} of the simulated motion is left as error",
+            )
+            if learned.unconverged:
+                self.report(
+                    {"WARNING"},
+                    f"{learned.name}: {learned.unconverged} simulated frames have not converged, and were learned from all the same",
+                )
+            if not learned.learned:
+                self.report(
+                    {"WARNING"}, f"{learned.name}: nothing swings freely enough to learn from; look at its pins"
+                )

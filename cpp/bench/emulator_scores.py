@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Errors and times of the emulator, and of what a sceptic would put in its place, on sequences with their true motion.
+
+Prints a Markdown table: root mean squares over all sequences, in edges of a cube divided by 5 (the paper's units, in which a
+character is 5 long and an edge 0.2), single frames from true history, rollouts of 24, 48 and all frames; the largest elastic energy over
+that of the truth; milliseconds a frame and microseconds a free vertex, the medians over the sequences.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from followthrough.elastic import ElasticBody, ImplicitEuler
+from followthrough.emulator import Emulator
+from followthrough.emulator_weights import EmulatorWeights
+from followthrough.evaluation import Scores, evaluate
+from followthrough.newton_weights import PASS_SIZE, START_SIZE, NewtonSchedule, guide_inputs
+from followthrough.sequences import Sequence
+from followthrough.solver import Solver, SolverState
+
+Maker = Callable[[Sequence], Solver]
+
+
+class _Guess(Solver):
+    """A frame that no solver has seen: the reference itself, or the last two frames carried on."""
+
+    def __init__(self, constrained: np.ndarray, inertial: bool) -> None:
+        self._constrained, self._inertial = constrained, inertial
+
+    def resume(self, dynamic: np.ndarray, reference: np.ndarray) -> None:
+        self._now, self._before = dynamic[-1], dynamic[max(len(dynamic) - 2, 0)]
+
+    def state(self) -> SolverState:
+        return SolverState((self._now, self._before), 0)
+
+    def restore(self, state: SolverState) -> None:
+        self._now, self._before = state.arrays
+
+    def step(self, reference: np.ndarray, next_reference: np.ndarray | None = None) -> np.ndarray:
+        ahead = 2 * self._now - self._before if self._inertial else reference.copy()
+        ahead[self._constrained] = reference[self._constrained]
+        self._now, self._before = ahead, self._now
+        return ahead
+
+
+def untrained(schedule: NewtonSchedule) -> EmulatorWeights:
+    """The same truncated Newton steps, guided by nothing: the start half way between inertia and the reference, every step whole."""
+    parameters = {}
+    for guide, size in schedule.guides().items():
+        parameters[f"{guide}.0.weight"] = np.zeros((size[0], guide_inputs(size)), np.float32)
+        bias = np.zeros(size[0], np.float32)
+        bias[0] = 0.5 if size == START_SIZE and guide == "start" else 1.0
+        parameters[f"{guide}.0.bias"] = bias
+    assert PASS_SIZE != START_SIZE
+    return EmulatorWeights(parameters, newton=schedule)
+
+
+def emulator(weights: EmulatorWeights, most_passes: int | None = None, tolerance: float | None = None) -> Maker:
+    """An emulator with a number of passes of its own."""
+    if weights.newton is not None and most_passes is not None:
+        kept = weights.newton.tolerance if tolerance is None else tolerance
+        weights = replace(weights, newton=replace(weights.newton, most_passes=most_passes, tolerance=kept))
+    return lambda sequence: Emulator.of_sequence(sequence, weights)
+
+
+def simulation(quality: str) -> Maker:
+    """The elastic simulator."""
+    return lambda sequence: ImplicitEuler(
+        ElasticBody.of_sequence(sequence), sequence.constrained, sequence.dt, quality=quality
+    )
+
+
+def methods(weights: EmulatorWeights, others: list[Path]) -> dict[str, Maker]:
+    """What is compared, by name."""
+    found: dict[str, Maker] = {
+        "reference only": lambda sequence: _Guess(sequence.constrained, inertial=False),
+        "inertial guess": lambda sequence: _Guess(sequence.constrained, inertial=True),
+    }
+    if weights.newton is not None:
+        plain = untrained(weights.newton)
+        for passes in range(4):
+            found[f"guides, {passes} passes"] = emulator(weights, passes, 0.0)
+            found[f"no guides, {passes} passes"] = emulator(plain, passes, 0.0)
+        found["no guides, as shipped"] = emulator(plain)
+    found["as shipped"] = emulator(weights)
+    for path in others:
+        found[path.stem] = emulator(EmulatorWeights.load(path))
+    for quality in ("preview", "fine"):
+        found[f"simulation, {quality}"] = simulation(quality)
+    return found
+
+
+def main() -> None:
+    """Measure, one sequence after the other, every method in turn."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="sequences with their true motion")
+    parser.add_argument("--weights", type=Path, help="default: those that are shipped")
+    parser.add_argument(
+        "--other", type=Path, nargs="*", default=[], help="more weights files, for example the paper's network"
+    )
+    parser.add_argument("--pattern", default="*.npz")
+    parser.add_argument("--frames", type=int)
+    arguments = parser.parse_args()
+    weights = EmulatorWeights.shipped() if arguments.weights is None else EmulatorWeights.load(arguments.weights)
+    compared = methods(weights, arguments.other)
+    scores: dict[str, list[tuple[Scores, float]]] = {name: [] for name in compared}
+    for path in sorted(arguments.folder.glob(arguments.pattern)):
+        sequence = Sequence.load(path)
+        if arguments.frames:
+            assert sequence.dynamic is not None
+            sequence = replace(
+                sequence, reference=sequence.reference[: arguments.frames], dynamic=sequence.dynamic[: arguments.frames]
+            )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            scale = 0.2 / Emulator.of_sequence(sequence, weights).edge_length
+            for name, make in compared.items():
+                scores[name].append((evaluate(sequence, make(sequence)), scale))
+    print(
+        "| method | single | rollout 24 | rollout 48 | rollout all | energy max / truth | ms a frame | µs a free vertex |"
+    )
+    print("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
+    for name, all_scores in scores.items():
+        columns = [
+            float(np.sqrt(np.mean([(scale * getattr(score, field)) ** 2 for score, scale in all_scores])))
+            for field in ("single_frame", "rollout_24", "rollout_48", "rollout_all")
+        ]
+        energy = statistics.median(score.predicted.max / score.truth.max for score, _ in all_scores)
+        time = statistics.median(score.ms_per_frame for score, _ in all_scores)
+        each = statistics.median(1000 * score.ms_per_frame / score.free_vertices for score, _ in all_scores)
+        print(
+            f"| {name} | {' | '.join(f'{value:.2g}' for value in columns)} | {energy:.3g} | {time:.3g} | {each:.3g} |"
+        )
+
+
+if __name__ == "__main__":
+    main()

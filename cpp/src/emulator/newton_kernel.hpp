@@ -1,0 +1,112 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+/// @file
+/// Inner loops of a Newton pass (newton_problem.hpp), compiled once per instruction set. Plain arrays only: see
+/// cmake/InstructionSets.cmake. Lengths are in edges, times in frames, masses such that the mean density is 1.
+///
+/// Tets, and rows (free vertices), go in groups of 16. Tets leave their shares one after the other; each row then adds up those
+/// around it, always in the same order, so that nothing depends on which thread did what.
+#pragma once
+
+#include <cstdint>
+
+#include "emulator/patch_kernel.hpp"
+
+namespace followthrough {
+
+inline constexpr std::int32_t kNewtonGroup = 16;
+/// Ten blocks of nine floats and six to spare. Blocks 0 to 3 are a corner's: its stiffness (xx yy zz xy xz yz) and its force.
+/// Blocks 4 to 9 are the stiffness between the corners 01 02 03 12 13 23, row by row.
+inline constexpr std::int32_t kTetShare = 96;
+
+struct NewtonTets {
+  const std::int32_t* corners;  ///< (groups, 4, 16) rows, ascending in every tet; those at the end are repeated with no volume
+  const float* gradients;       ///< (groups, 9, 16) inverse of the rest edges: F = edges gradients
+  const float* materials;       ///< (groups, 4, 16) volume, mu, lambda, compression resistance
+  const double* positions;      ///< (rows, 3)
+  float* shares;                ///< out: (tets, 96)
+  void (*raise_stretches)(float* deformation_gradient) noexcept;  ///< of an F, row by row, that may have small ones
+};
+
+/// The rows' equations. Slots of a group are 16 neighbours, one of each of its rows (or the row itself with nothing to add).
+struct NewtonRows {
+  std::int32_t padded;                 ///< rows, a multiple of 16
+  const std::int32_t* tet_starts;      ///< (padded + 1,) into tet_blocks
+  const std::int32_t* tet_blocks;      ///< offset in shares of a corner's block
+  const std::int32_t* slot_starts;     ///< (groups + 1,) free neighbours
+  const std::int32_t* slot_columns;    ///< (slots, 16) rows
+  const float* slot_masses;            ///< (slots, 16)
+  const std::int32_t* share_starts;    ///< (16 slots + 1,) into share_blocks
+  const std::int32_t* share_blocks;    ///< offset in shares of the blocks that a slot adds up
+  const std::uint32_t* slot_turned;    ///< (slots,) a bit a lane: the blocks are those of the other way round
+  const std::int32_t* border_starts;   ///< (groups + 1,) constrained neighbours
+  const std::int32_t* border_columns;  ///< (border slots, 16) places in offsets
+  const float* border_masses;          ///< (border slots, 16)
+  const float* masses;                 ///< (padded,) on the diagonal
+  const float* shares;                 ///< of the tets
+  std::int32_t offset_stride;          ///< padded, and the constrained rows
+  const float* offsets;                ///< (3, offset_stride) z - y
+  float* blocks;                       ///< out: (slots, 9, 16)
+  float* diagonal;                     ///< out: (groups, 6, 16) xx yy zz xy xz yz
+  float* inverse;                      ///< out: (groups, 6, 16)
+  // Vectors of the conjugate gradients, (3, padded).
+  float* residual;
+  float* preconditioned;
+  float* direction;
+  float* product;
+  float* solution;
+};
+
+/// Sums over a block of groups, lane by lane.
+struct LaneSums {
+  float sums[2][kNewtonGroup];
+};
+
+/// Floats of a record: vectors of a row, one after the other, whose means over its neighbours are wanted.
+inline constexpr std::int32_t kNewtonRecord = 16;
+
+/// What a guide is told of the rows (newton_patches.hpp).
+struct GuideInputs {
+  std::int32_t padded;
+  std::int32_t vector_count;
+  const float* const* vectors;   ///< (vector_count,) of (3, padded)
+  const float* inverse_squares;  ///< (padded,) one over the sum of the vectors' squares
+  std::int32_t scalar_count;
+  const float* scalars;  ///< (scalar_count, padded)
+  float* steps;          ///< out: (3, padded)
+};
+
+/// A layer as PyTorch has it.
+struct GuideLayer {
+  const float* weight;  ///< (outputs, inputs)
+  const float* bias;    ///< (outputs,)
+  std::int32_t inputs, outputs;
+};
+
+/// A guide's perceptron; a tanh after every layer but the last.
+struct GuideKernel {
+  const GuideLayer* layers;
+  std::int32_t layer_count;
+  std::int32_t widest;  ///< of its inputs and outputs
+};
+
+#define FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(isa)                                                                           \
+  namespace isa {                                                                                                           \
+  void tet_shares(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept;                      \
+  void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;   \
+  void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;   \
+  void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group, std::int32_t last_group,                \
+                    LaneSums* sums) noexcept;                                                                               \
+  void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, std::int32_t last_group) noexcept;          \
+  /* Means of the neighbours' records minus the row's own, (16, padded). */                                                 \
+  void neighbour_means(const float* records, const std::int32_t* starts, const std::int32_t* neighbours, std::int32_t rows, \
+                       std::int32_t padded, std::int32_t first_group, std::int32_t last_group, float* means) noexcept;      \
+  /* Scratch: 2 kNewtonGroup widest floats. */                                                                              \
+  void guide_rows(const GuideInputs& inputs, const GuideKernel& guide, std::int32_t first_group, std::int32_t last_group,   \
+                  float* scratch) noexcept;                                                                                 \
+  }
+FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(baseline)
+FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(avx2)
+FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(avx512)
+#undef FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS
+
+}  // namespace followthrough

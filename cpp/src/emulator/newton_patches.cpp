@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "followthrough/emulator/newton_patches.hpp"
+
+#include <cstddef>
+#include <string>
+#include <utility>
+
+#include "emulator/newton_problem.hpp"
+#include "followthrough/errors.hpp"
+
+namespace followthrough {
+namespace {
+
+void require_evaluated(const NewtonProblem& problem) {
+  if (!problem.evaluated) throw InvalidInput("estimate", "found none that was evaluated, expected begin and evaluate before this");
+}
+
+PatchFeatures features_of(const NewtonProblem& p) {
+  PatchFeatures result;
+  result.vectors.resize(p.free_count, 3 * Eigen::Index{p.inputs.vector_count});
+  result.scalars.resize(p.free_count, p.inputs.scalar_count);
+  for (Eigen::Index v = 0; v < p.inputs.vector_count; ++v) {
+    for (Eigen::Index k = 0; k < 3; ++k) {
+      result.vectors.col(3 * v + k) = Eigen::Map<const Eigen::VectorXf>(p.inputs.vectors[v] + k * p.padded, p.free_count);
+    }
+  }
+  for (Eigen::Index k = 0; k < p.inputs.scalar_count; ++k) {
+    result.scalars.col(k) = Eigen::Map<const Eigen::VectorXf>(p.inputs.scalars + k * p.padded, p.free_count);
+  }
+  return result;
+}
+
+}  // namespace
+
+GuideSize start_guide_size() { return {kStartVectors, kStartScalars}; }
+GuideSize pass_guide_size() { return {kPassVectors, kPassScalars}; }
+
+NewtonPatches::NewtonPatches(const NewtonBody& body) : problem_(std::make_unique<NewtonProblem>(body)) {}
+NewtonPatches::~NewtonPatches() = default;
+NewtonPatches::NewtonPatches(NewtonPatches&&) noexcept = default;
+NewtonPatches& NewtonPatches::operator=(NewtonPatches&&) noexcept = default;
+
+Eigen::Index NewtonPatches::vertex_count() const { return problem_->count; }
+double NewtonPatches::edge_length() const { return problem_->edge_length; }
+const Vector& NewtonPatches::stiffness() const { return problem_->stiffness; }
+const std::vector<Index>& NewtonPatches::free_vertices() const { return problem_->free_vertices; }
+const std::vector<Index>& NewtonPatches::edge_starts() const { return problem_->edge_starts; }
+const std::vector<Index>& NewtonPatches::neighbours() const { return problem_->edge_vertices; }
+
+void NewtonPatches::begin(const NewtonHistory& history) {
+  for (std::size_t k = 0; k < 4; ++k) {
+    const std::string place = "[" + std::to_string(k) + "]";
+    for (const auto& [name, positions] :
+         {std::pair{"dynamic", &history.dynamic[k]}, std::pair{"reference", &history.reference[k]}}) {
+      require_rows((name + place).c_str(), positions->rows(), problem_->count);
+      require_finite((name + place).c_str(), *positions);
+    }
+  }
+  problem_->begin(history);
+}
+
+PatchFeatures NewtonPatches::start_features() {
+  if (!problem_->began) throw InvalidInput("estimate", "found none, expected begin before this");
+  problem_->describe_start();
+  return features_of(*problem_);
+}
+
+double NewtonPatches::evaluate(int iterations) {
+  if (!problem_->began) throw InvalidInput("estimate", "found none, expected begin before evaluate");
+  if (iterations < 0) throw InvalidInput("iterations", "found " + std::to_string(iterations) + ", expected 0 or more");
+  const double size = problem_->assemble();
+  problem_->solve(iterations);
+  return size;
+}
+
+PatchFeatures NewtonPatches::features() {
+  require_evaluated(*problem_);
+  problem_->describe_pass();
+  return features_of(*problem_);
+}
+
+NewtonPatches::Steps NewtonPatches::direction() const {
+  const NewtonProblem& p = *problem_;
+  require_evaluated(p);
+  Steps steps(p.free_count, 3);
+  for (Eigen::Index k = 0; k < 3; ++k)
+    steps.col(k) = Eigen::Map<const Eigen::VectorXf>(p.solution.data() + k * p.padded, p.free_count);
+  return steps;
+}
+
+void NewtonPatches::move(const Steps& step) {
+  if (!problem_->began) throw InvalidInput("estimate", "found none, expected begin before move");
+  require_rows("step", step.rows(), problem_->free_count);
+  if (!step.allFinite()) throw InvalidInput("step", "found NaN or infinity, expected finite numbers");
+  NewtonProblem& p = *problem_;
+  for (Eigen::Index k = 0; k < 3; ++k) Eigen::Map<Eigen::VectorXf>(p.steps.data() + k * p.padded, p.free_count) = step.col(k);
+  p.move(p.steps.data(), p.evaluated);
+}
+
+Positions NewtonPatches::estimate() const {
+  if (!problem_->began) throw InvalidInput("estimate", "found none, expected begin before this");
+  Positions positions(problem_->count, 3);
+  problem_->write_estimate(positions);
+  return positions;
+}
+
+}  // namespace followthrough

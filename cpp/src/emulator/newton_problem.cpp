@@ -1,0 +1,673 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "emulator/newton_problem.hpp"
+
+#include <omp.h>
+
+#include <Eigen/LU>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstring>
+#include <numeric>
+#include <string>
+
+#include "emulator/patches.hpp"
+#include "followthrough/elastic/signed_svd.hpp"
+#include "followthrough/errors.hpp"
+#include "instruction_set.hpp"
+#include "worthwhile_threads.hpp"
+
+namespace followthrough {
+namespace {
+
+constexpr double smallest_stretch = 0.1;
+// Share of the cube over the longest edge below which a tet has no volume.
+constexpr double smallest_volume = 1e-14;
+constexpr double solver_tolerance = 0.003;
+// Groups of 16 rows whose sums are taken together: fixed, so that sums do not depend on threads.
+constexpr std::int32_t block_groups = 8;
+// Rows that are sorted by their number of neighbours, so that the 16 of a group have about as many.
+constexpr std::size_t sorting_window = 64;
+
+struct Kernels {
+  decltype(&baseline::tet_shares) tet_shares;
+  decltype(&baseline::assemble_rows) assemble_rows;
+  decltype(&baseline::multiply_rows) multiply_rows;
+  decltype(&baseline::advance_rows) advance_rows;
+  decltype(&baseline::turn_rows) turn_rows;
+  decltype(&baseline::neighbour_means) neighbour_means;
+};
+
+Kernels kernels() {
+#define FOLLOWTHROUGH_KERNELS_OF(isa)                                                                                \
+  {                                                                                                                  \
+    isa::tet_shares, isa::assemble_rows, isa::multiply_rows, isa::advance_rows, isa::turn_rows, isa::neighbour_means \
+  }
+  switch (instruction_set()) {
+#ifdef FOLLOWTHROUGH_HAS_avx512
+    case InstructionSet::avx512:
+      return FOLLOWTHROUGH_KERNELS_OF(avx512);
+#endif
+#ifdef FOLLOWTHROUGH_HAS_avx2
+    case InstructionSet::avx2:
+      return FOLLOWTHROUGH_KERNELS_OF(avx2);
+#endif
+    default:
+      return FOLLOWTHROUGH_KERNELS_OF(baseline);
+  }
+#undef FOLLOWTHROUGH_KERNELS_OF
+}
+
+using RowMatrix3f = Eigen::Matrix<float, 3, 3, Eigen::RowMajor>;
+
+void raise_stretches(float* deformation_gradient) noexcept {
+  Eigen::Map<RowMatrix3f> f(deformation_gradient);
+  if (!f.allFinite()) return;
+  const SignedSvd svd = signed_svd(f.cast<double>());
+  if (svd.stretches.minCoeff() >= smallest_stretch) return;
+  f = (svd.u * svd.stretches.cwiseMax(smallest_stretch).asDiagonal() * svd.v.transpose()).cast<float>();
+}
+
+void require_constants(const NewtonBody& body, Eigen::Index count) {
+  require_finite("rest_positions", body.rest_positions);
+  require_indices("tets", body.tets, count);
+  require_rows("constrained", body.constrained.size(), count);
+  const auto require_positive = [count](const char* name, const Vector& values) {
+    require_rows(name, values.size(), count);
+    for (Eigen::Index v = 0; v < count; ++v) {
+      if (!(std::isfinite(values[v]) && values[v] > 0.0)) {
+        throw InvalidInput(name, "found " + std::to_string(values[v]) + " at vertex " + std::to_string(v) +
+                                     ", expected finite numbers, more than 0");
+      }
+    }
+  };
+  require_positive("youngs_modulus", body.youngs_modulus);
+  require_positive("density", body.density);
+  if (!(std::isfinite(body.dt) && body.dt > 0.0)) {
+    throw InvalidInput("dt", "found " + std::to_string(body.dt) + ", expected a positive number of seconds");
+  }
+  require_finite("gravity", body.gravity.transpose());
+  if (!(std::isfinite(body.edge_length) && body.edge_length >= 0.0)) {
+    throw InvalidInput("edge_length", "found " + std::to_string(body.edge_length) + ", expected a positive number of metres");
+  }
+  if (!(body.poisson_ratio > -1.0 && body.poisson_ratio < 0.5)) {
+    throw InvalidInput("poisson_ratio",
+                       "found " + std::to_string(body.poisson_ratio) + ", expected more than -1 and less than 0.5");
+  }
+  if (!(std::isfinite(body.compression_resistance) && body.compression_resistance >= 0.0)) {
+    throw InvalidInput("compression_resistance",
+                       "found " + std::to_string(body.compression_resistance) + ", expected 0 or a positive number");
+  }
+}
+
+// Blocks of a tet's share between two corners, the lower one first.
+std::int32_t block_between(int lower, int higher) {
+  constexpr std::int32_t blocks[4][4] = {{0, 4, 5, 6}, {0, 0, 7, 8}, {0, 0, 0, 9}, {0, 0, 0, 0}};
+  return 9 * blocks[lower][higher];
+}
+
+AlignedFloats floats(std::size_t count) { return AlignedFloats(count); }
+
+std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
+
+}  // namespace
+
+NewtonProblem::NewtonProblem(const NewtonBody& body) : count(body.rest_positions.rows()) {
+  require_constants(body, count);
+  arrange(body);
+}
+
+void NewtonProblem::arrange(const NewtonBody& body) {
+  const Eigen::Index tet_count = body.tets.rows();
+  if (tet_count == 0) throw InvalidInput("tets", "found none, expected at least one");
+  // Volumes, and the edge of a cube that six tets of the median one fill.
+  std::vector<double> volumes(size(tet_count));
+  double total_volume = 0, total_mass = 0;
+  const auto edges_of = [&](const std::array<Index, 4>& c) {
+    Eigen::Matrix3d edges;
+    for (int k = 0; k < 3; ++k) edges.col(k) = (body.rest_positions.row(c[k + 1]) - body.rest_positions.row(c[0])).transpose();
+    return edges;
+  };
+  const auto mean_of = [&](const Vector& values, Eigen::Index t) {
+    double sum = 0;
+    for (int k = 0; k < 4; ++k) sum += values[body.tets(t, k)] / 4.0;
+    return sum;
+  };
+  for (Eigen::Index t = 0; t < tet_count; ++t) {
+    const Eigen::Matrix3d edges = edges_of({body.tets(t, 0), body.tets(t, 1), body.tets(t, 2), body.tets(t, 3)});
+    double longest = edges.colwise().norm().maxCoeff();
+    for (int k = 0; k < 3; ++k) longest = std::max(longest, (edges.col(k) - edges.col((k + 1) % 3)).norm());
+    const double determinant = std::abs(edges.determinant());
+    if (!(determinant > smallest_volume * longest * longest * longest)) {
+      throw InvalidInput("rest_positions", "tet " + std::to_string(t) + " has no volume, expected every tet to fill some space");
+    }
+    volumes[size(t)] = determinant / 6.0;
+    total_volume += volumes[size(t)];
+    total_mass += volumes[size(t)] * mean_of(body.density, t);
+  }
+  if (body.edge_length > 0.0) {
+    edge_length = body.edge_length;
+  } else {
+    std::vector<double> sorted = volumes;
+    const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
+    std::nth_element(sorted.begin(), middle, sorted.end());
+    double median = *middle;
+    if (sorted.size() % 2 == 0) median = 0.5 * (median + *std::max_element(sorted.begin(), middle));
+    edge_length = std::cbrt(6.0 * median);
+  }
+  inverse_length = 1.0 / edge_length;
+  const double mean_density = total_mass / total_volume;
+  const double frames_per_edge = body.dt * inverse_length;
+  fall = 0.5 * body.dt * frames_per_edge * body.gravity.transpose();
+  stiffness = (body.youngs_modulus.array() / body.density.array() * (frames_per_edge * frames_per_edge)).matrix();
+
+  // Rows.
+  const Patches patches = find_patches(body.rest_positions, body.tets, body.constrained, 1);
+  const std::vector<Index>& ring_starts = patches.rings[0].starts;
+  free_count = static_cast<std::int32_t>(patches.free.size());
+  std::vector<bool> is_free(patches.vertices.size(), false);
+  for (const Index row : patches.free) is_free[size(row)] = true;
+  std::vector<std::pair<std::int32_t, std::int32_t>> order;  // free neighbours, place in patches.free
+  for (std::int32_t i = 0; i < free_count; ++i) {
+    std::int32_t free_neighbours = 0;
+    for (Index e = ring_starts[size(i)]; e < ring_starts[size(i) + 1]; ++e) {
+      free_neighbours += is_free[size(patches.rings[0].neighbours[size(e)])];
+    }
+    order.emplace_back(free_neighbours, i);
+  }
+  for (std::size_t first_row = 0; first_row < order.size(); first_row += sorting_window) {
+    std::stable_sort(order.begin() + static_cast<std::ptrdiff_t>(first_row),
+                     order.begin() + static_cast<std::ptrdiff_t>(std::min(first_row + sorting_window, order.size())),
+                     [](const auto& a, const auto& b) { return a.first > b.first; });
+  }
+  std::vector<Index> row_of(size(count), -1);
+  for (const auto& place : order) {
+    vertices.push_back(patches.vertices[size(patches.free[size(place.second)])]);
+    row_of[size(vertices.back())] = static_cast<Index>(vertices.size()) - 1;
+  }
+  free_vertices = vertices;
+  for (std::size_t row = 0; row < patches.vertices.size(); ++row) {
+    if (is_free[row]) continue;
+    vertices.push_back(patches.vertices[row]);
+    row_of[size(vertices.back())] = static_cast<Index>(vertices.size()) - 1;
+  }
+  row_count = static_cast<std::int32_t>(vertices.size());
+  groups = (free_count + kNewtonGroup - 1) / kNewtonGroup;
+  padded = groups * kNewtonGroup;
+  for (Eigen::Index v = 0; v < count; ++v) {
+    if (row_of[size(v)] < 0) unused.push_back(static_cast<Index>(v));
+  }
+
+  // Tets with a free corner, in the order of their lowest row.
+  struct Tet {
+    std::array<std::int32_t, 4> rows;
+    Eigen::Index index;
+  };
+  std::vector<Tet> tets;
+  for (Eigen::Index t = 0; t < tet_count; ++t) {
+    Tet tet{{}, t};
+    bool moves = false;
+    for (int k = 0; k < 4; ++k) {
+      moves = moves || !body.constrained[body.tets(t, k)];
+      tet.rows[size(k)] = row_of[size(body.tets(t, k))];
+    }
+    if (!moves) continue;
+    std::sort(tet.rows.begin(), tet.rows.end());
+    tets.push_back(tet);
+  }
+  std::stable_sort(tets.begin(), tets.end(), [](const Tet& a, const Tet& b) { return a.rows < b.rows; });
+  tet_groups = static_cast<std::int32_t>((tets.size() + kNewtonGroup - 1) / kNewtonGroup);
+  const std::size_t tet_slots = size(tet_groups) * kNewtonGroup;
+  corners.assign(4 * tet_slots, 0);
+  gradients = floats(9 * tet_slots);
+  materials = floats(4 * tet_slots);
+  shares = floats(tet_slots * kTetShare + kNewtonGroup);
+  struct Pair {
+    std::int32_t row, other, share;
+    double mass;
+  };
+  std::vector<Pair> pairs;
+  std::vector<double> lumped(size(row_count), 0.0);
+  std::vector<std::vector<std::int32_t>> around(size(padded));
+  const double nu = body.poisson_ratio;
+  for (std::size_t slot = 0; slot < tet_slots && !tets.empty(); ++slot) {
+    const Tet& tet = tets[std::min(slot, tets.size() - 1)];
+    const bool real = slot < tets.size();
+    const std::size_t group = slot / kNewtonGroup, lane = slot % kNewtonGroup;
+    std::array<Index, 4> c{};
+    for (std::size_t k = 0; k < 4; ++k) {
+      c[k] = vertices[size(tet.rows[k])];
+      corners[(group * 4 + k) * kNewtonGroup + lane] = tet.rows[k];
+    }
+    const Eigen::Matrix3d inverse_edges = (edges_of(c) * inverse_length).inverse();
+    for (int k = 0; k < 9; ++k) {
+      gradients.data()[(group * 9 + size(k)) * kNewtonGroup + lane] = static_cast<float>(inverse_edges(k / 3, k % 3));
+    }
+    const double volume = volumes[size(tet.index)] * inverse_length * inverse_length * inverse_length;
+    const double modulus = mean_of(body.youngs_modulus, tet.index) * frames_per_edge * frames_per_edge / mean_density;
+    const double constants[] = {real ? volume : 0.0, modulus / (2.0 * (1.0 + nu)), modulus * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)),
+                                modulus * body.compression_resistance};
+    for (std::size_t k = 0; k < 4; ++k) materials.data()[(group * 4 + k) * kNewtonGroup + lane] = static_cast<float>(constants[k]);
+    if (!real) continue;
+    const double mass = mean_of(body.density, tet.index) / mean_density * volume / 20.0;
+    for (int a = 0; a < 4; ++a) {
+      const std::int32_t row = tet.rows[size(a)];
+      lumped[size(row)] += 5.0 * mass;
+      if (row >= free_count) continue;
+      const auto share = static_cast<std::int32_t>(slot * kTetShare);
+      around[size(row)].push_back(share + 9 * a);
+      for (int b = 0; b < 4; ++b) {
+        if (a != b) pairs.push_back({row, tet.rows[size(b)], share + block_between(std::min(a, b), std::max(a, b)), mass});
+      }
+    }
+  }
+  std::sort(pairs.begin(), pairs.end(), [](const Pair& a, const Pair& b) {
+    return a.row != b.row ? a.row < b.row : a.other != b.other ? a.other < b.other : a.share < b.share;
+  });
+
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    if (!around[size(row)].empty()) continue;
+    throw InvalidInput(
+        "tets", "found no volume around the free vertex " + std::to_string(vertices[size(row)]) + ", expected it to have mass");
+  }
+
+  // Neighbours, ascending: free ones come first.
+  struct Neighbour {
+    std::int32_t row;
+    double mass;
+    std::size_t first, last;  // of the pairs
+  };
+  std::vector<std::vector<Neighbour>> near(size(padded));
+  for (std::size_t p = 0; p < pairs.size();) {
+    Neighbour neighbour{pairs[p].other, 0.0, p, p};
+    auto& list = near[size(pairs[p].row)];
+    for (; neighbour.last < pairs.size() && pairs[neighbour.last].row == pairs[p].row &&
+           pairs[neighbour.last].other == pairs[p].other;
+         ++neighbour.last) {
+      neighbour.mass += pairs[neighbour.last].mass;
+    }
+    p = neighbour.last;
+    list.push_back(neighbour);
+  }
+  edge_starts.push_back(0);
+  for (std::int32_t i = 0; i < free_count; ++i) {
+    for (const Neighbour& n : near[size(i)]) {
+      edge_rows.push_back(n.row);
+      edge_vertices.push_back(vertices[size(n.row)]);
+    }
+    edge_starts.push_back(static_cast<Index>(edge_rows.size()));
+  }
+  std::vector<float> slot_mass, border_mass;
+  tet_starts.push_back(0);
+  slot_starts.push_back(0);
+  border_starts.push_back(0);
+  share_starts.push_back(0);
+  for (std::int32_t group = 0; group < groups; ++group) {
+    std::size_t free_width = 0, border_width = 0;
+    std::array<std::size_t, kNewtonGroup> frees{};
+    for (std::int32_t lane = 0; lane < kNewtonGroup; ++lane) {
+      const auto& list = near[size(group * kNewtonGroup + lane)];
+      std::size_t& frees_here = frees[size(lane)];
+      while (frees_here < list.size() && list[frees_here].row < free_count) ++frees_here;
+      free_width = std::max(free_width, frees_here);
+      border_width = std::max(border_width, list.size() - frees_here);
+      const auto& blocks_here = around[size(group * kNewtonGroup + lane)];
+      tet_blocks.insert(tet_blocks.end(), blocks_here.begin(), blocks_here.end());
+      tet_starts.push_back(static_cast<std::int32_t>(tet_blocks.size()));
+    }
+    for (std::size_t s = 0; s < free_width; ++s) {
+      std::uint32_t turned = 0;
+      for (std::int32_t lane = 0; lane < kNewtonGroup; ++lane) {
+        const std::int32_t row = group * kNewtonGroup + lane;
+        const bool there = s < frees[size(lane)];
+        slot_columns.push_back(there ? near[size(row)][s].row : row);
+        slot_mass.push_back(there ? static_cast<float>(near[size(row)][s].mass) : 0.0f);
+        if (there) {
+          const Neighbour& n = near[size(row)][s];
+          for (std::size_t p = n.first; p < n.last; ++p) share_blocks.push_back(pairs[p].share);
+          if (n.row < row) turned |= 1u << lane;
+        }
+        share_starts.push_back(static_cast<std::int32_t>(share_blocks.size()));
+      }
+      slot_turned.push_back(turned);
+    }
+    for (std::size_t s = 0; s < border_width; ++s) {
+      for (std::int32_t lane = 0; lane < kNewtonGroup; ++lane) {
+        const std::int32_t row = group * kNewtonGroup + lane;
+        const std::size_t place = frees[size(lane)] + s;
+        const bool there = place < near[size(row)].size();
+        border_columns.push_back(there ? near[size(row)][place].row + padded - free_count : 0);
+        border_mass.push_back(there ? static_cast<float>(near[size(row)][place].mass) : 0.0f);
+      }
+    }
+    slot_starts.push_back(static_cast<std::int32_t>(slot_turned.size()));
+    border_starts.push_back(static_cast<std::int32_t>(border_columns.size() / kNewtonGroup));
+  }
+  const auto filled = [](const std::vector<float>& values) {
+    AlignedFloats result(values.size());
+    std::copy(values.begin(), values.end(), result.data());
+    return result;
+  };
+  slot_masses = filled(slot_mass);
+  border_masses = filled(border_mass);
+
+  // Numbers of the rows.
+  const std::size_t vector_size = 3 * size(padded);
+  const std::int32_t offset_stride = padded + row_count - free_count;  // constrained rows come after the padding
+  masses = floats(size(padded));
+  std::fill_n(masses.data(), padded, 1.0f);
+  for (AlignedFloats* array : {&residual, &preconditioned, &directions, &product, &solution, &first, &saved_solution, &steps}) {
+    *array = floats(vector_size);
+  }
+  offsets = floats(3 * size(offset_stride));
+  blocks = floats(slot_turned.size() * 9 * kNewtonGroup);
+  diagonal = floats(6 * size(padded));
+  inverse = floats(6 * size(padded));
+  const std::size_t columns = size(padded);
+  history = floats(18 * columns);
+  means = floats(kNewtonRecord * columns);
+  motion = floats(vector_size);
+  records = floats(size(row_count) * kNewtonRecord);
+  scalars = floats(size(kPassScalars) * columns);
+  inverse_squares = floats(columns);
+  lumped_masses.assign(columns, 1.0f);
+  half_log_stiffness.assign(columns, 0.0f);
+  fullness.assign(columns, 0.0f);
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    const Index vertex = vertices[size(row)];
+    lumped_masses[size(row)] = static_cast<float>(lumped[size(row)]);
+    masses.data()[row] = static_cast<float>(0.4 * lumped[size(row)]);
+    half_log_stiffness[size(row)] = static_cast<float>(0.5 * std::log(stiffness[vertex]));
+    fullness[size(row)] = static_cast<float>(edge_starts[size(row) + 1] - edge_starts[size(row)]) / 14.0f - 1.0f;
+  }
+  find_nearness(body);
+  for (std::vector<double>* array : {&positions, &start, &inertial, &last}) array->assign(3 * size(row_count), 0.0);
+  saved.assign(3 * size(free_count), 0.0);
+  sums.resize(size((groups + block_groups - 1) / block_groups));
+  now = Positions::Zero(count, 3);
+  target = Positions::Zero(count, 3);
+
+  tet_frame.corners = corners.data();
+  tet_frame.gradients = gradients.data();
+  tet_frame.materials = materials.data();
+  tet_frame.positions = positions.data();
+  tet_frame.shares = shares.data();
+  tet_frame.raise_stretches = &raise_stretches;
+  row_frame = {padded,
+               tet_starts.data(),
+               tet_blocks.data(),
+               slot_starts.data(),
+               slot_columns.data(),
+               slot_masses.data(),
+               share_starts.data(),
+               share_blocks.data(),
+               slot_turned.data(),
+               border_starts.data(),
+               border_columns.data(),
+               border_masses.data(),
+               masses.data(),
+               shares.data(),
+               offset_stride,
+               offsets.data(),
+               blocks.data(),
+               diagonal.data(),
+               inverse.data(),
+               residual.data(),
+               preconditioned.data(),
+               directions.data(),
+               product.data(),
+               solution.data()};
+  for (std::int32_t v = 0; v < 6; ++v) start_vectors.push_back(history.data() + 3 * v * static_cast<std::int64_t>(padded));
+  pass_vectors = {solution.data(), first.data(), preconditioned.data(), motion.data()};
+  for (std::int64_t v = 0; v < 3; ++v) {
+    const float* mean = means.data() + 3 * v * padded;
+    start_vectors.push_back(mean);
+    if (v < 2) pass_vectors.push_back(mean);
+  }
+  inputs.padded = padded;
+  inputs.inverse_squares = inverse_squares.data();
+  inputs.scalars = scalars.data();
+  inputs.steps = steps.data();
+}
+
+// One over one more than the number of tets between each free row's vertex and the nearest constrained one, 20 at most.
+void NewtonProblem::find_nearness(const NewtonBody& body) {
+  constexpr int farthest = 20;
+  std::vector<int> hops(size(count), farthest);
+  for (Eigen::Index v = 0; v < count; ++v) {
+    if (body.constrained[v]) hops[size(v)] = 0;
+  }
+  for (int hop = 1; hop < farthest; ++hop) {
+    bool farther = false;
+    for (Eigen::Index t = 0; t < body.tets.rows(); ++t) {
+      bool touches = false;
+      for (int k = 0; k < 4; ++k) touches = touches || hops[size(body.tets(t, k))] == hop - 1;
+      if (!touches) continue;
+      for (int k = 0; k < 4; ++k) {
+        int& mine = hops[size(body.tets(t, k))];
+        if (mine > hop) {
+          mine = hop;
+          farther = true;
+        }
+      }
+    }
+    if (!farther) break;
+  }
+  nearness.assign(size(padded), 0.0f);
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    nearness[size(row)] = 1.0f / static_cast<float>(1 + hops[size(vertices[size(row)])]);
+  }
+}
+
+double NewtonProblem::sum(int which) const {
+  double total = 0;
+  for (const LaneSums& block : sums) {
+    for (const float lane : block.sums[which]) total += static_cast<double>(lane);
+  }
+  return total;
+}
+
+void NewtonProblem::begin(const NewtonHistory& h) {
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(row_count, 30.0))
+  for (std::int32_t row = 0; row < row_count; ++row) {
+    const Index v = vertices[size(row)];
+    const bool moves = row < free_count;
+    float* record = records.data() + std::int64_t{row} * kNewtonRecord;
+    for (int k = 0; k < 3; ++k) {
+      // Frame t + n as it is seen from a frame of reference that falls.
+      const auto seen = [&, k](const ConstPositions& where, double n) { return where(v, k) * inverse_length - n * n * fall[k]; };
+      const double u0 = seen(h.dynamic[0], 0), u1 = seen(h.dynamic[1], -1), u2 = seen(h.dynamic[2], -2),
+                   u3 = seen(h.dynamic[3], -3);
+      const double x1 = seen(h.reference[0], 1), x0 = seen(h.reference[1], 0), before = seen(h.reference[2], -1),
+                   before_that = seen(h.reference[3], -2);
+      const double ahead = u0 + (u0 - u1), acceleration = (u0 - u1) - (u1 - u2);
+      const std::size_t place = 3 * size(row) + size(k);
+      inertial[place] = ahead;
+      last[place] = u0;
+      positions[place] = start[place] = moves ? ahead : x1;
+      record[k] = static_cast<float>(moves ? (x1 - x0) - (u0 - u1) : x1 - ahead);
+      record[3 + k] = static_cast<float>(acceleration);
+      record[6 + k] = static_cast<float>(u0 - x0);
+      const std::int64_t column = moves ? row : row + padded - free_count;
+      offsets.data()[k * std::int64_t{row_frame.offset_stride} + column] = static_cast<float>(positions[place] - ahead);
+      if (!moves) continue;
+      float* to = history.data() + std::int64_t{k} * padded + row;
+      const std::int64_t next = 3 * std::int64_t{padded};
+      for (int c = 0; c < 3; ++c) to[c * next] = record[3 * c + k];
+      to[3 * next] = static_cast<float>((x1 - x0) - (x0 - before));
+      to[4 * next] = static_cast<float>(acceleration - ((u1 - u2) - (u2 - u3)));
+      to[5 * next] = static_cast<float>((x0 - before) - (before - before_that));
+    }
+  }
+  std::fill_n(motion.data(), 3 * size(padded), 0.0f);
+  now = h.dynamic[0];
+  target = h.reference[0];
+  began = true;
+  evaluated = false;
+}
+
+double NewtonProblem::assemble() {
+  const Kernels kernel = kernels();
+  constexpr std::int32_t tet_block = 4;
+  const std::int32_t tet_blocks_count = (tet_groups + tet_block - 1) / tet_block,
+                     row_blocks = static_cast<std::int32_t>(sums.size());
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(tet_groups, 500.0))
+  for (std::int32_t block = 0; block < tet_blocks_count; ++block) {
+    kernel.tet_shares(tet_frame, block * tet_block, std::min((block + 1) * tet_block, tet_groups));
+  }
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 2400.0))
+  for (std::int32_t block = 0; block < row_blocks; ++block) {
+    kernel.assemble_rows(row_frame, block * block_groups, std::min((block + 1) * block_groups, groups), &sums[size(block)]);
+  }
+  std::copy_n(preconditioned.data(), 3 * size(padded), first.data());
+  residual_square = sum(0);
+  evaluated = true;
+  return free_count ? std::sqrt(sum(1) / (3.0 * free_count)) : 0.0;
+}
+
+void NewtonProblem::solve(int iterations) {
+  const Kernels kernel = kernels();
+  const auto row_blocks = static_cast<std::int32_t>(sums.size());
+  const double enough = solver_tolerance * solver_tolerance * residual_square;
+  double square = residual_square;
+  const int threads = worthwhile_threads(groups, 200.0);
+  for (int k = 0; k < iterations && square > enough && square > 0.0; ++k) {
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (std::int32_t block = 0; block < row_blocks; ++block) {
+      kernel.multiply_rows(row_frame, block * block_groups, std::min((block + 1) * block_groups, groups), &sums[size(block)]);
+    }
+    const double curvature = sum(0);
+    if (!(curvature > 0.0)) {
+      if (k == 0) std::copy_n(directions.data(), 3 * size(padded), solution.data());
+      break;
+    }
+    const auto length = static_cast<float>(square / curvature);
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (std::int32_t block = 0; block < row_blocks; ++block) {
+      kernel.advance_rows(row_frame, length, block * block_groups, std::min((block + 1) * block_groups, groups),
+                          &sums[size(block)]);
+    }
+    const double next = sum(0);
+    const auto share = static_cast<float>(next / square);
+    square = next;
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (std::int32_t block = 0; block < row_blocks; ++block) {
+      kernel.turn_rows(row_frame, share, block * block_groups, std::min((block + 1) * block_groups, groups));
+    }
+  }
+}
+
+void NewtonProblem::describe_start() {
+  const Kernels kernel = kernels();
+  const std::size_t columns = size(padded);
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 600.0))
+  for (std::int32_t group = 0; group < groups; ++group) {
+    kernel.neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1,
+                           means.data());
+  }
+  std::copy_n(nearness.data(), columns, scalars.data() + columns);
+  std::copy_n(half_log_stiffness.data(), columns, scalars.data() + 2 * columns);
+  std::copy_n(fullness.data(), columns, scalars.data() + 3 * columns);
+  describe(start_vectors, kStartScalars);
+}
+
+void NewtonProblem::describe_pass() {
+  const Kernels kernel = kernels();
+  const std::size_t columns = size(padded);
+  const float* averaged[] = {solution.data(), preconditioned.data()};
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(row_count, 15.0))
+  for (std::int32_t row = 0; row < row_count; ++row) {
+    float* record = records.data() + std::int64_t{row} * kNewtonRecord;
+    for (int c = 0; c < 6; ++c) {
+      record[c] = row < free_count ? averaged[c / 3][(c % 3) * std::int64_t{padded} + row] : 0.0f;
+    }
+  }
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 600.0))
+  for (std::int32_t group = 0; group < groups; ++group) {
+    kernel.neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1,
+                           means.data());
+    for (std::int32_t lane = 0; lane < kNewtonGroup; ++lane) {
+      const std::int32_t row = group * kNewtonGroup + lane;
+      const float* d = diagonal.data() + std::int64_t{group} * 6 * kNewtonGroup + lane;
+      const float trace = d[0] + d[kNewtonGroup] + d[2 * kNewtonGroup];
+      scalars.data()[columns + size(row)] = row < free_count ? 0.5f * std::log(trace / 3.0f / lumped_masses[size(row)]) : 0.0f;
+    }
+  }
+  std::copy_n(half_log_stiffness.data(), columns, scalars.data() + 2 * columns);
+  std::copy_n(nearness.data(), columns, scalars.data() + 3 * columns);
+  std::copy_n(fullness.data(), columns, scalars.data() + 4 * columns);
+  describe(pass_vectors, kPassScalars);
+}
+
+// The sum of squares, and its logarithm.
+void NewtonProblem::describe(const std::vector<const float*>& vectors, std::int32_t scalar_count) {
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(free_count, 40.0))
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    float square = 1e-18f;
+    for (const float* vector : vectors) {
+      for (int k = 0; k < 3; ++k) {
+        const float value = vector[std::int64_t{k} * padded + row];
+        square += value * value;
+      }
+    }
+    inverse_squares.data()[row] = 1.0f / square;
+    scalars.data()[row] = 0.125f * std::clamp(std::log(square), -24.0f, 6.0f) + 0.75f;
+  }
+  inputs.vectors = vectors.data();
+  inputs.vector_count = static_cast<std::int32_t>(vectors.size());
+  inputs.scalar_count = scalar_count;
+}
+
+void NewtonProblem::move(const float* step, bool of_pass) {
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    for (int k = 0; k < 3; ++k) {
+      const std::size_t place = 3 * size(row) + size(k);
+      positions[place] += static_cast<double>(step[std::int64_t{k} * padded + row]);
+      offsets.data()[std::int64_t{k} * row_frame.offset_stride + row] = static_cast<float>(positions[place] - inertial[place]);
+    }
+  }
+  if (of_pass) {
+    std::copy_n(step, 3 * size(padded), motion.data());
+  } else if (finite()) {
+    start = positions;
+  }
+}
+
+void NewtonProblem::move_along_direction() { move(solution.data(), true); }
+
+void NewtonProblem::save() {
+  std::copy_n(positions.begin(), saved.size(), saved.begin());
+  std::copy_n(solution.data(), 3 * size(padded), saved_solution.data());
+}
+
+void NewtonProblem::go_back_and_move_along_direction() {
+  std::copy_n(saved.begin(), saved.size(), positions.begin());
+  std::copy_n(saved_solution.data(), 3 * size(padded), solution.data());
+  move_along_direction();
+}
+
+bool NewtonProblem::finite() const {
+  for (const double value : positions) {
+    if (!std::isfinite(value)) return false;
+  }
+  return true;
+}
+
+void NewtonProblem::start_over() { positions = start; }
+
+void NewtonProblem::write_estimate(Positions& out) const {
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    const Index v = vertices[size(row)];
+    // From u(t) on: what does not move keeps its digits.
+    for (int k = 0; k < 3; ++k) {
+      const std::size_t place = 3 * size(row) + size(k);
+      out(v, k) = now(v, k) + (positions[place] - last[place] + fall[k]) * edge_length;
+    }
+  }
+  for (std::int32_t row = free_count; row < row_count; ++row) out.row(vertices[size(row)]) = target.row(vertices[size(row)]);
+  for (const Index v : unused) out.row(v) = target.row(v);
+}
+
+}  // namespace followthrough

@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// F is the deformation gradient, A its cofactors, J its determinant, E = (F^T F - 1) / 2, S = 2 mu E + lambda tr(E) 1, g a corner's
+// gradient. The force on a corner is volume (F S + pressure A) g; the stiffness between two, made convex, is volume times
+// share (g_a . S g_b) 1 + mu ((g_a . g_b) F F^T + F g_b (F g_a)^T) + lambda F g_a (F g_b)^T + bulk A g_a (A g_b)^T, where the share
+// is 1 if S is positive definite and 0 if not.
+#include "emulator/lane_algebra.hpp"
+#include "emulator/newton_kernel.hpp"
+
+namespace followthrough::FOLLOWTHROUGH_ISA {
+namespace {
+
+static_assert(kGroup == kNewtonGroup);
+
+// Edges from the first corner, component k of edge e at [3 k + e]: taken in double precision, so that they are as exact far away.
+inline void load_edges(const double* positions, const std::int32_t* corners, float (*edges)[kGroup]) {
+  for (int lane = 0; lane < kGroup; ++lane) {
+    const double* origin = positions + 3 * static_cast<std::int64_t>(corners[lane]);
+    for (int e = 0; e < 3; ++e) {
+      const double* end = positions + 3 * static_cast<std::int64_t>(corners[(e + 1) * kGroup + lane]);
+      for (int k = 0; k < 3; ++k) edges[3 * k + e][lane] = static_cast<float>(end[k] - origin[k]);
+    }
+  }
+}
+
+// F into the rows 0 to 8 of f; clamped where the test cannot say that all stretches are far above the clamp.
+inline void deformation_gradients(const NewtonTets& tets, std::int64_t group, float (*f)[kGroup]) {
+  float edges[9][kGroup];
+  load_edges(tets.positions, tets.corners + group * 4 * kGroup, edges);
+  for (int lane = 0; lane < kGroup; lane += kLanes) {
+    const Square gradient = load_square(&edges[0][lane], kGroup) * load_square(tets.gradients + group * 9 * kGroup + lane, kGroup);
+    store(&f[0][lane], kGroup, gradient);
+    const Real volume = dot(gradient.x, cofactors(gradient).x);
+    unsigned sound = bits_of(real(0.05f) * square_sum(gradient) < volume);
+    for (int k = 0; k < kLanes; ++k, sound >>= 1) {
+      if (sound & 1u) continue;
+      float one[9];
+      for (int c = 0; c < 9; ++c) one[c] = f[c][lane + k];
+      tets.raise_stretches(one);
+      for (int c = 0; c < 9; ++c) f[c][lane + k] = one[c];
+    }
+  }
+}
+
+inline void corner_block(float (*out)[kGroup], int lane, Real xx, Real yy, Real zz, Real xy, Real xz, Real yz, Triple force) {
+  const Real values[] = {xx, yy, zz, xy, xz, yz, force.x, force.y, force.z};
+  for (int k = 0; k < 9; ++k) store(&out[k][lane], values[k]);
+}
+
+inline void shares_of(const NewtonTets& tets, std::int64_t group, const float (*gradient)[kGroup], float (*out)[kGroup]) {
+  for (int lane = 0; lane < kGroup; lane += kLanes) {
+    const float* constants = tets.materials + group * 4 * kGroup + lane;
+    const Real volume = load_real(constants), mu = load_real(constants + kGroup);
+    const Real lambda = load_real(constants + 2 * kGroup), resistance = load_real(constants + 3 * kGroup);
+    const Square g = load_square(tets.gradients + group * 9 * kGroup + lane, kGroup);
+    const Square f = load_square(&gradient[0][lane], kGroup);
+    const Square a = cofactors(f), columns = transposed(f);
+    const Real one = real(1.0f), half = real(0.5f), zero = real(0.0f);
+    const Real cxx = dot(columns.x, columns.x) - one, cyy = dot(columns.y, columns.y) - one, czz = dot(columns.z, columns.z) - one;
+    const Real cxy = dot(columns.x, columns.y), cxz = dot(columns.x, columns.z), cyz = dot(columns.y, columns.z);
+    const Real tension = lambda * half * (cxx + cyy + czz);
+    const Square s{{fma_of(mu, cxx, tension), mu * cxy, mu * cxz},
+                   {mu * cxy, fma_of(mu, cyy, tension), mu * cyz},
+                   {mu * cxz, mu * cyz, fma_of(mu, czz, tension)}};
+    const Real gap = not_below(0.0f, one - dot(f.x, a.x));
+    const Real pressure = resistance * gap * gap * real(-1.0f / 576.0f), bulk = resistance * gap * real(1.0f / 288.0f) * volume;
+    const Real minor = s.x.x * s.y.y - s.x.y * s.x.y, determinant = dot(s.x, cross(s.y, s.z));
+    const LaneMask stretched = both(both(zero < s.x.x, zero < minor), zero < determinant);
+    const Real near = choose(stretched, volume, zero), shear = volume * mu, spread = volume * lambda;
+    // Gradients of the corners, and what F, A and S make of them.
+    const Triple corner[4] = {
+        {zero - (g.x.x + g.y.x + g.z.x), zero - (g.x.y + g.y.y + g.z.y), zero - (g.x.z + g.y.z + g.z.z)}, g.x, g.y, g.z};
+    const Real fxx = dot(f.x, f.x), fyy = dot(f.y, f.y), fzz = dot(f.z, f.z);
+    const Real fxy = dot(f.x, f.y), fxz = dot(f.x, f.z), fyz = dot(f.y, f.z);
+    Triple moved[4], normal[4], pulled[4];
+    for (int c = 0; c < 4; ++c) {
+      moved[c] = f * corner[c];
+      normal[c] = a * corner[c];
+      pulled[c] = s * corner[c];
+      const Real same = shear * dot(corner[c], corner[c]), along = fma_of(near, dot(corner[c], pulled[c]), zero);
+      const Triple m = moved[c] * (shear + spread), n = normal[c] * bulk;
+      const Triple force = (f * pulled[c] + normal[c] * pressure) * volume;
+      const auto entry = [&](Real ff, Real left, Real right, Real up, Real down) {
+        return fma_of(up, down, fma_of(left, right, same * ff));
+      };
+      corner_block(out + 9 * c, lane, entry(fxx, m.x, moved[c].x, n.x, normal[c].x) + along,
+                   entry(fyy, m.y, moved[c].y, n.y, normal[c].y) + along, entry(fzz, m.z, moved[c].z, n.z, normal[c].z) + along,
+                   entry(fxy, m.x, moved[c].y, n.x, normal[c].y), entry(fxz, m.x, moved[c].z, n.x, normal[c].z),
+                   entry(fyz, m.y, moved[c].z, n.y, normal[c].z), force);
+    }
+    int block = 4;
+    for (int b = 0; b < 4; ++b) {
+      for (int c = b + 1; c < 4; ++c, ++block) {
+        const Real same = shear * dot(corner[b], corner[c]), along = near * dot(corner[b], pulled[c]);
+        const Triple by_c = moved[c] * shear, by_b = moved[b] * spread, n = normal[b] * bulk;
+        const auto row = [&](Triple ff, Real c_side, Real b_side, Real up) {
+          return fma_of(normal[c], up, fma_of(moved[c], b_side, fma_of(moved[b], c_side, ff * same)));
+        };
+        Square k{row({fxx, fxy, fxz}, by_c.x, by_b.x, n.x), row({fxy, fyy, fyz}, by_c.y, by_b.y, n.y),
+                 row({fxz, fyz, fzz}, by_c.z, by_b.z, n.z)};
+        k.x.x = k.x.x + along;
+        k.y.y = k.y.y + along;
+        k.z.z = k.z.z + along;
+        store(&out[9 * block][lane], kGroup, k);
+      }
+    }
+  }
+}
+
+}  // namespace
+
+void tet_shares(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept {
+  float lanes[kTetShare][kGroup] = {}, gradient[9][kGroup];
+  for (std::int64_t group = first_group; group < last_group; ++group) {
+    deformation_gradients(tets, group, gradient);
+    shares_of(tets, group, gradient, lanes);
+    float* out = tets.shares + group * kGroup * kTetShare;
+    for (int c = 0; c < kTetShare; c += kGroup) transpose_group(lanes[c], kGroup, out + c, kTetShare);
+  }
+}
+
+}  // namespace followthrough::FOLLOWTHROUGH_ISA

@@ -1,0 +1,279 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "followthrough/emulator/patch_newton.hpp"
+
+#include <omp.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <utility>
+
+#include "emulator/newton_problem.hpp"
+#include "emulator/packed_layers.hpp"
+#include "followthrough/errors.hpp"
+#include "instruction_set.hpp"
+#include "worthwhile_threads.hpp"
+
+namespace followthrough {
+namespace {
+
+// Root mean square of the first preconditioned residual, in edges, below which a pass has nothing to do: rounding.
+constexpr double nothing_left = 1e-7;
+// Root mean square of the first step, in edges, from which on the tolerance is as it is given: calmer frames are solved as exactly
+// in proportion, so that what comes to rest does.
+constexpr double lively_step = 0.1;
+// How much larger it may be after a guide's step.
+constexpr double tolerated_growth = 4.0;
+
+decltype(&baseline::guide_rows) guide_kernel() {
+  switch (instruction_set()) {
+#ifdef FOLLOWTHROUGH_HAS_avx512
+    case InstructionSet::avx512:
+      return avx512::guide_rows;
+#endif
+#ifdef FOLLOWTHROUGH_HAS_avx2
+    case InstructionSet::avx2:
+      return avx2::guide_rows;
+#endif
+    default:
+      return baseline::guide_rows;
+  }
+}
+
+void require_layer(const std::string& place, const DenseLayer& layer, Eigen::Index inputs, Eigen::Index outputs) {
+  if (layer.weight.cols() != inputs || layer.weight.rows() < 1 || (outputs && layer.weight.rows() != outputs)) {
+    throw InvalidInput(place + ".weight", "found " + std::to_string(layer.weight.rows()) + " x " +
+                                              std::to_string(layer.weight.cols()) + ", expected " +
+                                              (outputs ? std::to_string(outputs) + " rows and " : "") + std::to_string(inputs) +
+                                              " columns, one an input");
+  }
+  if (layer.bias.size() != layer.weight.rows()) {
+    throw InvalidInput(place + ".bias",
+                       "found " + std::to_string(layer.bias.size()) + " numbers, expected " + std::to_string(layer.weight.rows()));
+  }
+  if (!layer.weight.allFinite()) throw InvalidInput(place + ".weight", "found NaN or infinity, expected finite numbers");
+  if (!layer.bias.allFinite()) throw InvalidInput(place + ".bias", "found NaN or infinity, expected finite numbers");
+}
+
+void require_guide(const std::string& place, const Guide& guide, GuideSize size) {
+  if (guide.empty()) throw InvalidInput(place, "found no layers, expected at least 1");
+  Eigen::Index width = size.vectors * (size.vectors + 1) / 2 + size.scalars;
+  for (std::size_t k = 0; k < guide.size(); ++k) {
+    require_layer(place + "." + std::to_string(k), guide[k], width, k + 1 == guide.size() ? size.vectors : 0);
+    width = guide[k].weight.rows();
+  }
+}
+
+// A guide as the kernels take it.
+struct PackedGuide {
+  PackedGuide() = default;
+  explicit PackedGuide(const Guide& guide) : layers(guide) {
+    for (const DenseLayer& layer : layers) {
+      kernels.push_back({layer.weight.data(), layer.bias.data(), static_cast<std::int32_t>(layer.weight.cols()),
+                         static_cast<std::int32_t>(layer.weight.rows())});
+      widest = std::max({widest, kernels.back().inputs, kernels.back().outputs});
+      cost += static_cast<double>(layer.weight.size());
+    }
+  }
+
+  Guide layers;
+  std::vector<GuideLayer> kernels;
+  std::int32_t widest = 0;
+  double cost = 0;  // multiply-adds a vertex
+};
+
+struct PackedPass {
+  int iterations;
+  PackedGuide guide;
+};
+
+}  // namespace
+
+void require_schedule(const NewtonSchedule& schedule) {
+  require_guide("start", schedule.start, start_guide_size());
+  for (std::size_t k = 0; k < schedule.passes.size(); ++k) {
+    const std::string place = "passes." + std::to_string(k);
+    const NewtonPass& pass = schedule.passes[k];
+    if (pass.iterations < 0) {
+      throw InvalidInput(place + ".iterations", "found " + std::to_string(pass.iterations) + ", expected 0 or more");
+    }
+    if (!pass.guide.empty()) require_guide(place + ".guide", pass.guide, pass_guide_size());
+  }
+  const auto require_count = [](const char* name, int found) {
+    if (found < 0) throw InvalidInput(name, "found " + std::to_string(found) + ", expected 0 or more");
+  };
+  require_count("most_passes", schedule.most_passes);
+  require_count("extra_passes", schedule.extra_passes);
+  require_count("extra_iterations", schedule.extra_iterations);
+  if (!(std::isfinite(schedule.tolerance) && schedule.tolerance >= 0.0)) {
+    throw InvalidInput("tolerance", "found " + std::to_string(schedule.tolerance) + ", expected 0 edges or more");
+  }
+}
+
+struct PatchNewton::Parts {
+  Parts(const NewtonBody& body, const NewtonSchedule& schedule);
+  void take_guided_step(const PackedGuide& guide, bool of_pass);
+  void take_pass(const PackedPass& pass, double& left_before, double tolerance, bool& finished);
+  void solve_frame(ConstPositions reference);
+
+  NewtonProblem problem;
+  PackedGuide start;
+  std::vector<PackedPass> passes;
+  PackedPass extra;
+  int most_passes, extra_passes;
+  double tolerance;
+  std::vector<AlignedFloats> scratch;  // one a thread
+  double cost = 0;
+  std::array<Positions, 4> dynamic;    // u(t), u(t-1), u(t-2), u(t-3)
+  std::array<Positions, 3> reference;  // x(t), x(t-1), x(t-2)
+  Positions next;                      // u(t+1)
+  std::int64_t frames = -1;            // since the reset; -1: never reset
+};
+
+PatchNewton::Parts::Parts(const NewtonBody& body, const NewtonSchedule& schedule)
+    : problem((require_schedule(schedule), body)),
+      start(schedule.start),
+      extra{schedule.extra_iterations, {}},
+      most_passes(schedule.passes.empty() ? 0 : schedule.most_passes),
+      extra_passes(schedule.extra_passes),
+      tolerance(schedule.tolerance) {
+  const auto edges = static_cast<double>(problem.edge_rows.size()), frees = static_cast<double>(problem.free_count);
+  cost = start.cost * frees;
+  for (const NewtonPass& pass : schedule.passes) {
+    passes.push_back({pass.iterations, PackedGuide(pass.guide)});
+    cost += passes.back().guide.cost * frees + 9.0 * pass.iterations * (edges + frees);
+  }
+  next = Positions::Zero(problem.count, 3);
+}
+
+void PatchNewton::Parts::take_guided_step(const PackedGuide& guide, bool of_pass) {
+  if (of_pass) {
+    problem.describe_pass();
+  } else {
+    problem.describe_start();
+  }
+  const auto kernel = guide_kernel();
+  const GuideKernel network{guide.kernels.data(), static_cast<std::int32_t>(guide.kernels.size()), guide.widest};
+  const int threads = std::min(worthwhile_threads(problem.groups, guide.cost * 0.8), static_cast<int>(scratch.size()));
+#pragma omp parallel for schedule(static) num_threads(threads)
+  for (std::int32_t group = 0; group < problem.groups; ++group) {
+    kernel(problem.inputs, network, group, group + 1, scratch[static_cast<std::size_t>(omp_get_thread_num())].data());
+  }
+  problem.move(problem.steps.data(), of_pass);
+}
+
+// left_before: of the pass before where a guide made its step, else negative.
+void PatchNewton::Parts::take_pass(const PackedPass& pass, double& left_before, double enough, bool& finished) {
+  double left = problem.assemble();
+  if (left_before >= 0.0 && !(left <= tolerated_growth * left_before)) {
+    problem.go_back_and_move_along_direction();
+    left = problem.assemble();
+  }
+  left_before = -1.0;
+  finished = !(left >= enough);
+  if (finished) return;
+  problem.solve(pass.iterations);
+  if (pass.guide.layers.empty()) {
+    problem.move_along_direction();
+    return;
+  }
+  problem.save();
+  take_guided_step(pass.guide, true);
+  left_before = left;
+}
+
+void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
+  problem.begin({{dynamic[0], dynamic[1], dynamic[2], dynamic[3]}, {next_reference, reference[0], reference[1], reference[2]}});
+  take_guided_step(start, false);
+  double square = 0;
+  for (int k = 0; k < 3; ++k) {
+    const float* step = problem.steps.data() + k * static_cast<std::ptrdiff_t>(problem.padded);
+    for (std::int32_t row = 0; row < problem.free_count; ++row) square += static_cast<double>(step[row]) * step[row];
+  }
+  const double liveliness = std::min(1.0, std::sqrt(square / (3.0 * std::max(problem.free_count, 1))) / lively_step);
+  const double enough = std::max(tolerance * liveliness, nothing_left);
+  double left_before = -1.0;
+  bool finished = false;
+  for (int k = 0; k < most_passes && !finished; ++k) {
+    const auto which = std::min(static_cast<std::size_t>(k), passes.size() - 1);
+    take_pass(passes[which], left_before, enough, finished);
+  }
+  finished = false;
+  for (int k = 0; k < extra_passes && !finished; ++k) take_pass(extra, left_before, nothing_left, finished);
+  if (!problem.finite()) problem.start_over();
+  problem.write_estimate(next);
+}
+
+PatchNewton::PatchNewton(const NewtonBody& body, const NewtonSchedule& schedule)
+    : parts_(std::make_unique<Parts>(body, schedule)) {}
+PatchNewton::~PatchNewton() = default;
+PatchNewton::PatchNewton(PatchNewton&&) noexcept = default;
+PatchNewton& PatchNewton::operator=(PatchNewton&&) noexcept = default;
+
+Eigen::Index PatchNewton::vertex_count() const { return parts_->problem.count; }
+Eigen::Index PatchNewton::free_vertex_count() const { return parts_->problem.free_count; }
+Eigen::Index PatchNewton::edge_count() const { return static_cast<Eigen::Index>(parts_->problem.edge_rows.size()); }
+double PatchNewton::multiply_adds() const { return parts_->cost; }
+double PatchNewton::edge_length() const { return parts_->problem.edge_length; }
+const Vector& PatchNewton::stiffness() const { return parts_->problem.stiffness; }
+
+void PatchNewton::reset(ConstPositions reference) {
+  Parts& p = *parts_;
+  require_rows("reference", reference.rows(), p.problem.count);
+  require_finite("reference", reference);
+  for (Positions& array : p.dynamic) array = reference;
+  for (Positions& array : p.reference) array = reference;
+  const auto threads = static_cast<std::size_t>(omp_get_max_threads());
+  std::int32_t widest = p.start.widest;
+  for (const PackedPass& pass : p.passes) widest = std::max(widest, pass.guide.widest);
+  while (p.scratch.size() < threads) p.scratch.emplace_back(2 * static_cast<std::size_t>(widest) * kNewtonGroup);
+  p.frames = 0;
+}
+
+const Positions& PatchNewton::step(ConstPositions reference, const Positions* /*next_reference*/) {
+  Parts& p = *parts_;
+  if (p.frames < 0) {
+    throw InvalidInput("reference", "found a step before the first reset, expected reset to be called with the first frame");
+  }
+  require_rows("reference", reference.rows(), p.problem.count);
+  require_finite("reference", reference);
+  p.solve_frame(reference);
+  for (std::size_t k = p.reference.size() - 1; k > 0; --k) p.reference[k].swap(p.reference[k - 1]);
+  p.reference[0] = reference;
+  for (std::size_t k = p.dynamic.size() - 1; k > 0; --k) p.dynamic[k].swap(p.dynamic[k - 1]);
+  p.dynamic[0].swap(p.next);
+  ++p.frames;
+  return p.dynamic[0];
+}
+
+SolverState PatchNewton::state() const {
+  const Parts& p = *parts_;
+  SolverState state{{}, {p.frames}};
+  state.arrays.insert(state.arrays.end(), p.dynamic.begin(), p.dynamic.end());
+  state.arrays.insert(state.arrays.end(), p.reference.begin(), p.reference.end());
+  return state;
+}
+
+void PatchNewton::restore(const SolverState& state) {
+  Parts& p = *parts_;
+  const std::size_t expected = p.dynamic.size() + p.reference.size();
+  if (state.arrays.size() != expected || state.counters.size() != 1 || state.counters[0] < -1) {
+    throw InvalidInput("state", "found " + std::to_string(state.arrays.size()) + " arrays and " +
+                                    std::to_string(state.counters.size()) + " counters, expected " + std::to_string(expected) +
+                                    " and 1 as PatchNewton.state gives them");
+  }
+  const Eigen::Index rows = state.counters[0] < 0 ? 0 : p.problem.count;
+  for (const Positions& array : state.arrays) {
+    require_rows("state", array.rows(), rows);
+    require_finite("state", array);
+  }
+  if (rows) reset(state.arrays[0]);
+  std::copy_n(state.arrays.begin(), p.dynamic.size(), p.dynamic.begin());
+  std::copy_n(state.arrays.begin() + static_cast<std::ptrdiff_t>(p.dynamic.size()), p.reference.size(), p.reference.begin());
+  p.frames = state.counters[0];
+}
+
+}  // namespace followthrough

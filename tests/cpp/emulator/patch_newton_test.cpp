@@ -1,0 +1,395 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "followthrough/emulator/patch_newton.hpp"
+
+#include <doctest/doctest.h>
+#include <omp.h>
+
+#include <cmath>
+#include <cstdlib>
+#include <cstring>
+#include <limits>
+#include <memory>
+#include <random>
+
+#include "emulator/plain_newton.hpp"
+#include "emulator/random_network.hpp"
+#include "followthrough/elastic/implicit_euler.hpp"
+#include "followthrough/errors.hpp"
+#include "instruction_set.hpp"
+
+using namespace followthrough;
+
+namespace {
+
+constexpr double edge = 0.2;
+
+bool same_bits(const Positions& a, const Positions& b) {
+  return a.rows() == b.rows() && std::memcmp(a.data(), b.data(), sizeof(double) * static_cast<std::size_t>(a.size())) == 0;
+}
+
+// Largest distance, in edges.
+double difference(const Positions& a, const Positions& b) { return (a - b).cwiseAbs().maxCoeff() / edge; }
+
+std::vector<Positions> run(Solver& solver, const Positions& rest, int frames) {
+  solver.reset(swinging(rest, 0));
+  std::vector<Positions> result;
+  for (int frame = 1; frame <= frames; ++frame) result.push_back(solver.step(swinging(rest, frame)));
+  return result;
+}
+
+// Cubes whose inner vertices are off the grid, with rigid and soft parts, and two vertices inside that are constrained.
+NewtonBody bent_block(int nx, int ny, int nz) {
+  NewtonBody body{block_of_cubes(nx, ny, nz, edge)};
+  std::mt19937 random(7);
+  std::uniform_real_distribution<double> off(-0.02, 0.02), density(700.0, 1500.0);
+  for (Eigen::Index v = 0; v < body.rest_positions.rows(); ++v) {
+    for (Eigen::Index k = 0; k < 3; ++k) body.rest_positions(v, k) += off(random);
+    body.density[v] = density(random);
+  }
+  body.youngs_modulus = body.youngs_modulus.array() / 20.0;
+  body.constrained[body.constrained.size() - 3] = true;
+  return body;
+}
+
+std::vector<NewtonWidths> two_networks() { return {{4, true, {24, 24}}, {6, true, {16}}, {12, false, {}}}; }
+
+struct Usual {
+  InstructionSet set = instruction_set();
+  int threads = omp_get_max_threads();
+  ~Usual() {
+    use_instruction_set(set);
+    omp_set_num_threads(threads);
+  }
+};
+
+}  // namespace
+
+TEST_CASE("guided Newton passes are the plain ones, with every architecture and instruction set") {
+  const Usual usual;
+  const std::vector<std::vector<NewtonWidths>> all = {
+      two_networks(),   {}, {{3, true, {1}}}, {{0, true, {70, 31, 9}}, {5, true, {17, 16}}}, {{2, true, {}}, {2, true, {5, 40, 3}}},
+      {{7, false, {}}},
+  };
+  const NewtonBody body = bent_block(4, 2, 2);
+  for (std::size_t a = 0; a < all.size(); ++a) {
+    CAPTURE(a);
+    NewtonSchedule schedule = random_schedule(static_cast<unsigned>(a), all[a]);
+    if (a == 0) schedule.most_passes = 5;  // the last one is repeated
+    for (const InstructionSet set : available_instruction_sets()) {
+      CAPTURE(name_of(set));
+      use_instruction_set(set);
+      PlainNewton plain(body, schedule);
+      PatchNewton fast(body, schedule);
+      plain.reset(swinging(body.rest_positions, 0));
+      fast.reset(swinging(body.rest_positions, 0));
+      double moved = 0.0;
+      for (int frame = 1; frame <= 6; ++frame) {
+        const Positions reference = swinging(body.rest_positions, frame);
+        const Positions expected = plain.step(reference);
+        const Positions result = fast.step(reference);
+        CHECK(difference(result, expected) < 1e-4);
+        moved = std::max(moved, difference(expected, reference));
+      }
+      CHECK(moved > 0.05);
+    }
+  }
+}
+
+TEST_CASE("results do not depend on threads, and instruction sets differ by rounding") {
+  const Usual usual;
+  const NewtonBody body = bent_block(20, 9, 9);
+  const NewtonSchedule schedule = random_schedule(1, two_networks());
+  std::vector<Positions> first, widest;
+  for (const InstructionSet set : available_instruction_sets()) {
+    CAPTURE(name_of(set));
+    use_instruction_set(set);
+    first.clear();
+    for (const int threads : {1, 2, 3, 4}) {
+      omp_set_num_threads(threads);
+      PatchNewton solver(body, schedule);
+      const std::vector<Positions> result = run(solver, body.rest_positions, 3);
+      if (first.empty()) first = result;
+      for (std::size_t f = 0; f < result.size(); ++f) CHECK(same_bits(result[f], first[f]));
+    }
+    if (widest.empty()) widest = first;
+    for (std::size_t f = 0; f < first.size(); ++f) CHECK(difference(first[f], widest[f]) < 1e-4);
+  }
+}
+
+TEST_CASE("what is at rest stays there, to the bit") {
+  for (const bool bent : {false, true}) {
+    const NewtonBody body = bent ? bent_block(4, 3, 2) : NewtonBody{block_of_cubes(4, 3, 2, edge)};
+    NewtonSchedule schedule = random_schedule(3, two_networks());
+    PatchNewton solver(body, schedule);
+    solver.reset(body.rest_positions);
+    for (int frame = 0; frame < 50; ++frame) CHECK(same_bits(solver.step(body.rest_positions), body.rest_positions));
+    // Carried along without turning, too, but for what differences of numbers far away lose.
+    const Eigen::RowVector3d speed(0.3, -0.2, 0.1);
+    for (int frame = 1; frame < 20; ++frame) {
+      const Positions moved = body.rest_positions.rowwise() + frame * speed;
+      const auto before = [&](double frames) -> Positions { return moved.rowwise() - frames * speed; };
+      solver.restore({{moved, before(1), before(2), before(3), moved, before(1), before(2)}, {3}});
+      CHECK(difference(solver.step(moved.rowwise() + speed), moved.rowwise() + speed) < 1e-12);
+    }
+  }
+}
+
+TEST_CASE("a scene that is turned and moved as a whole moves turned and moved, also far away") {
+  const NewtonBody body = bent_block(5, 2, 2);
+  const NewtonSchedule schedule = random_schedule(4, two_networks());
+  Eigen::Matrix3d turn;
+  turn = Eigen::AngleAxisd(2.1, Eigen::Vector3d(1, -2, 0.5).normalized());
+  for (const double distance : {0.0, 5000.0}) {
+    const auto placed = [&](const Positions& x) -> Positions {
+      return (x * turn.transpose()).rowwise() + Eigen::RowVector3d(distance, -distance, 3.0);
+    };
+    PatchNewton here(body, schedule), there(body, schedule);
+    here.reset(swinging(body.rest_positions, 0));
+    there.reset(placed(swinging(body.rest_positions, 0)));
+    for (int frame = 1; frame <= 8; ++frame) {
+      const Positions expected = placed(here.step(swinging(body.rest_positions, frame)));
+      CHECK(difference(there.step(placed(swinging(body.rest_positions, frame))), expected) < 1e-4);
+    }
+  }
+}
+
+TEST_CASE("a scene in other units gives the same motion in those units") {
+  const NewtonBody body = bent_block(5, 2, 2);
+  const NewtonSchedule schedule = random_schedule(5, two_networks());
+  PatchNewton usual(body, schedule);
+  const std::vector<Positions> expected = run(usual, body.rest_positions, 8);
+  for (const double size : {0.01, 1.0, 100.0}) {
+    for (const double slowness : {0.5, 3.0}) {
+      for (const double density : {0.01, 20.0}) {
+        NewtonBody other = body;
+        other.rest_positions *= size;
+        other.dt *= slowness;
+        other.density *= density;
+        other.youngs_modulus *= density * size * size / (slowness * slowness);
+        PatchNewton scaled(other, schedule);
+        CHECK(scaled.edge_length() == doctest::Approx(usual.edge_length() * size));
+        CHECK((scaled.stiffness() - usual.stiffness()).cwiseAbs().maxCoeff() < 1e-9 * usual.stiffness().maxCoeff());
+        scaled.reset(size * swinging(body.rest_positions, 0));
+        for (std::size_t f = 0; f < expected.size(); ++f) {
+          const Positions result = scaled.step(size * swinging(body.rest_positions, static_cast<int>(f) + 1));
+          CHECK(difference(result / size, expected[f]) < 1e-4);
+        }
+      }
+    }
+  }
+}
+
+TEST_CASE("with enough passes a frame is backward Euler's own") {
+  const NewtonBody body = bent_block(4, 2, 2);
+  const ElasticBody elastic(body.rest_positions, body.tets, {body.youngs_modulus, body.density});
+  for (const bool with_network : {false, true}) {
+    NewtonSchedule schedule = random_schedule(6, {{4, with_network, {32, 32}}});
+    schedule.extra_passes = 60;
+    schedule.extra_iterations = 40;
+    PatchNewton passes(body, schedule);
+    ImplicitEuler exact(elastic, std::make_shared<InvertibleStVK>(), body.constrained, body.dt);
+    passes.reset(swinging(body.rest_positions, 0));
+    exact.reset(swinging(body.rest_positions, 0));
+    for (int frame = 1; frame <= 20; ++frame) {
+      const Positions reference = swinging(body.rest_positions, frame);
+      const Positions expected = exact.step(reference);
+      REQUIRE(exact.last_step().converged);
+      CHECK(difference(passes.step(reference), expected) < 1e-4);
+    }
+  }
+}
+
+TEST_CASE("violence leaves it finite, and it comes back to rest") {
+  const NewtonBody body = bent_block(5, 3, 3);
+  const Positions& rest = body.rest_positions;
+  NewtonSchedule schedule = random_schedule(8, two_networks());
+  schedule.extra_passes = 2;
+  // A network that always goes wrong, too.
+  const NewtonSchedule wild = random_schedule(9, two_networks(), 1e4f);
+  std::vector<std::vector<Positions>> motions(5);
+  for (int frame = 0; frame < 6; ++frame) {
+    motions[0].push_back(rest.rowwise() + Eigen::RowVector3d(frame % 2 ? 1e4 : 0.0, 0, 0));       // teleports
+    motions[1].push_back(rest * Eigen::Vector3d(1, frame % 2 ? -1 : 1, 1).asDiagonal());          // flips
+    motions[2].push_back(rest * (frame % 3 == 1 ? 0.0 : 1.0));                                    // vanishes
+    motions[3].push_back(Positions::Random(rest.rows(), 3) * 3.0);                                // is torn apart
+    motions[4].push_back(rest.rowwise() + Eigen::RowVector3d(0, frame % 2 ? 1e150 : -1e150, 0));  // overflows floats
+  }
+  for (const NewtonSchedule& passes : {schedule, wild}) {
+    for (std::size_t m = 0; m < motions.size(); ++m) {
+      CAPTURE(m);
+      PatchNewton solver(body, passes);
+      solver.reset(motions[m].front());
+      for (const Positions& reference : motions[m]) CHECK(solver.step(reference).allFinite());
+      for (int frame = 0; frame < 400; ++frame) REQUIRE(solver.step(rest).allFinite());
+      if (&passes != &schedule || m == 4) continue;
+      CHECK(difference(solver.step(rest), rest) < 1e-3);
+    }
+  }
+}
+
+TEST_CASE("what training sees, step by step, is what the solver does") {
+  const NewtonBody body = bent_block(4, 3, 2);
+  NewtonSchedule schedule = random_schedule(10, {{5, false, {}}, {3, false, {}}});
+  // A start that carries half of w, and nothing else.
+  schedule.start.back().weight.setZero();
+  schedule.start.back().bias.setZero();
+  schedule.start.back().bias[0] = 0.5f;
+  PatchNewton solver(body, schedule);
+  NewtonPatches patches(body);
+  std::vector<Positions> x, u;
+  for (int frame = 0; frame < 8; ++frame) x.push_back(swinging(body.rest_positions, std::max(frame - 3, 0)));
+  solver.reset(x[0]);
+  for (int frame = 0; frame < 4; ++frame) u.push_back(x[0]);
+  for (std::size_t frame = 4; frame < x.size(); ++frame) {
+    patches.begin({{u[frame - 1], u[frame - 2], u[frame - 3], u[frame - 4]}, {x[frame], x[frame - 1], x[frame - 2], x[frame - 3]}});
+    const PatchFeatures start = patches.start_features();
+    CHECK(start.vectors.cols() == 3 * start_guide_size().vectors);
+    CHECK(start.scalars.cols() == start_guide_size().scalars);
+    patches.move(0.5f * start.vectors.leftCols<3>());
+    double before = std::numeric_limits<double>::infinity();
+    for (const int iterations : {5, 3}) {
+      const double left = patches.evaluate(iterations);
+      CHECK(left < before);
+      before = left;
+      const PatchFeatures features = patches.features();
+      CHECK(features.vectors.cols() == 3 * pass_guide_size().vectors);
+      CHECK(features.scalars.cols() == pass_guide_size().scalars);
+      const NewtonPatches::Steps direction = patches.direction();
+      CHECK(features.vectors.leftCols<3>() == direction);
+      patches.move(direction);
+    }
+    u.push_back(solver.step(x[frame]));
+    CHECK(difference(patches.estimate(), u.back()) < 1e-6);
+  }
+}
+
+TEST_CASE("passes end where little is left, calm frames being solved as exactly in proportion") {
+  const NewtonBody body = bent_block(5, 3, 3);
+  NewtonSchedule schedule = random_schedule(13, {{10, true, {16}}});
+  schedule.most_passes = 30;
+  const auto off = [&](double tolerance, double size) {
+    schedule.tolerance = tolerance;
+    NewtonSchedule exact = schedule;
+    exact.tolerance = 0.0;
+    PatchNewton solver(body, schedule), truth(body, exact);
+    double worst = 0;
+    for (PatchNewton* s : {&solver, &truth}) s->reset(body.rest_positions);
+    for (int frame = 1; frame <= 6; ++frame) {
+      const Positions moved = body.rest_positions + size * (swinging(body.rest_positions, frame) - body.rest_positions);
+      truth.restore(solver.state());
+      const Positions expected = truth.step(moved);
+      worst = std::max(worst, difference(solver.step(moved), expected));
+    }
+    return worst;
+  };
+  const double loose = off(1e-2, 1.0), tight = off(1e-4, 1.0), calm = off(1e-2, 1e-3);
+  CHECK(loose > 1e-5);
+  CHECK(loose < 0.2);
+  CHECK(tight < 0.2 * loose);
+  CHECK(calm < 0.05 * loose);
+}
+
+TEST_CASE("gravity is what a falling frame of reference feels") {
+  NewtonBody body = bent_block(4, 2, 2);
+  const NewtonSchedule schedule = random_schedule(14, two_networks());
+  PatchNewton floating(body, schedule);
+  body.gravity = {0.0, 0.0, -9.81};
+  PatchNewton falling(body, schedule);
+  floating.reset(body.rest_positions);
+  falling.reset(body.rest_positions);
+  // Held by a frame that falls itself, a body has no weight.
+  for (int frame = 1; frame <= 6; ++frame) {
+    const auto fallen = [&](int f) -> Eigen::RowVector3d { return 0.5 * f * f * body.dt * body.dt * body.gravity.transpose(); };
+    const auto placed = [&](int f) -> Positions { return swinging(body.rest_positions, f).rowwise() + fallen(f); };
+    SolverState state = floating.state();
+    for (std::size_t k = 0; k < 7; ++k) state.arrays[k].rowwise() += fallen(frame - 1 - static_cast<int>(k < 4 ? k : k - 4));
+    falling.restore(state);
+    const Positions expected = floating.step(swinging(body.rest_positions, frame));
+    CHECK(difference(falling.step(placed(frame)), expected.rowwise() + fallen(frame)) < 1e-4);
+  }
+}
+
+TEST_CASE("a state resumes the run, to the bit") {
+  const NewtonBody body = bent_block(4, 2, 2);
+  const NewtonSchedule schedule = random_schedule(11, two_networks());
+  PatchNewton solver(body, schedule), other(body, schedule);
+  const std::vector<Positions> start = run(solver, body.rest_positions, 5);
+  const SolverState state = solver.state();
+  const Positions expected = solver.step(swinging(body.rest_positions, 6));
+  other.restore(state);
+  CHECK(same_bits(other.step(swinging(body.rest_positions, 6)), expected));
+  CHECK(other.state().counters == std::vector<std::int64_t>{6});
+}
+
+TEST_CASE("what does not fit is refused, naming it") {
+  const NewtonBody body = bent_block(2, 2, 2);
+  const NewtonSchedule schedule = random_schedule(12, two_networks());
+  const auto refused = [](const auto& what, const std::string& argument) {
+    CAPTURE(argument);
+    try {
+      what();
+      CHECK(false);
+    } catch (const InvalidInput& error) {
+      CHECK(error.argument() == argument);
+    }
+  };
+  const auto with_schedule = [&](auto change) {
+    NewtonSchedule changed = schedule;
+    change(changed);
+    return [&body, changed] { PatchNewton(body, changed); };
+  };
+  refused(with_schedule([](NewtonSchedule& s) { s.passes[0].iterations = -1; }), "passes.0.iterations");
+  refused(with_schedule([](NewtonSchedule& s) { s.passes[0].guide[1].weight.resize(24, 31); }), "passes.0.guide.1.weight");
+  refused(with_schedule([](NewtonSchedule& s) { s.passes[0].guide[1].bias.resize(3); }), "passes.0.guide.1.bias");
+  refused(with_schedule([](NewtonSchedule& s) { s.passes[1].guide.pop_back(); }), "passes.1.guide.0.weight");
+  refused(with_schedule([](NewtonSchedule& s) { s.start.clear(); }), "start");
+  refused(with_schedule([](NewtonSchedule& s) { s.start[0].bias[3] = NAN; }), "start.0.bias");
+  refused(with_schedule([](NewtonSchedule& s) { s.start[2].weight(1, 1) = INFINITY; }), "start.2.weight");
+  refused(with_schedule([](NewtonSchedule& s) { s.most_passes = -1; }), "most_passes");
+  refused(with_schedule([](NewtonSchedule& s) { s.tolerance = NAN; }), "tolerance");
+  refused(with_schedule([](NewtonSchedule& s) { s.extra_passes = -1; }), "extra_passes");
+  refused(with_schedule([](NewtonSchedule& s) { s.extra_iterations = -1; }), "extra_iterations");
+  const auto with_body = [&](auto change) {
+    NewtonBody changed = body;
+    change(changed);
+    return [changed] { const NewtonPatches patches(changed); };
+  };
+  refused(with_body([](NewtonBody& b) { b.tets(0, 0) = -1; }), "tets");
+  refused(with_body([](NewtonBody& b) { b.tets.resize(0, 4); }), "tets");
+  refused(with_body([](NewtonBody& b) { b.tets(3, 1) = b.tets(3, 0); }), "rest_positions");
+  refused(with_body([](NewtonBody& b) { b.tets.conservativeResize(1, 4); }), "tets");
+  refused(with_body([](NewtonBody& b) { b.rest_positions(2, 1) = INFINITY; }), "rest_positions");
+  refused(with_body([](NewtonBody& b) { b.youngs_modulus[3] = 0.0; }), "youngs_modulus");
+  refused(with_body([](NewtonBody& b) { b.density.resize(2); }), "density");
+  refused(with_body([](NewtonBody& b) { b.constrained.resize(2); }), "constrained");
+  refused(with_body([](NewtonBody& b) { b.dt = NAN; }), "dt");
+  refused(with_body([](NewtonBody& b) { b.edge_length = -1.0; }), "edge_length");
+  refused(with_body([](NewtonBody& b) { b.poisson_ratio = 0.5; }), "poisson_ratio");
+  refused(with_body([](NewtonBody& b) { b.compression_resistance = -1.0; }), "compression_resistance");
+
+  NewtonPatches patches(body);
+  const Positions& rest = body.rest_positions;
+  refused([&] { patches.evaluate(3); }, "estimate");
+  refused([&] { patches.start_features(); }, "estimate");
+  refused([&] { patches.begin({{rest, rest, rest.topRows(3), rest}, {rest, rest, rest, rest}}); }, "dynamic[2]");
+  patches.begin({{rest, rest, rest, rest}, {rest, rest, rest, rest}});
+  refused([&] { patches.features(); }, "estimate");
+  refused([&] { patches.evaluate(-3); }, "iterations");
+  patches.evaluate(3);
+  refused([&] { patches.move(NewtonPatches::Steps::Zero(2, 3)); }, "step");
+
+  PatchNewton solver(body, schedule);
+  refused([&] { solver.step(rest); }, "reference");
+  solver.reset(rest);
+  Positions broken = rest;
+  broken(1, 1) = NAN;
+  const SolverState state = solver.state();
+  refused([&] { solver.step(broken); }, "reference");
+  refused([&] { solver.step(broken.topRows(3)); }, "reference");
+  refused([&] { solver.reset(broken); }, "reference");
+  SolverState foreign = state;
+  foreign.arrays.pop_back();
+  refused([&] { solver.restore(foreign); }, "state");
+  const SolverState after = solver.state();
+  for (std::size_t k = 0; k < state.arrays.size(); ++k) CHECK(same_bits(after.arrays[k], state.arrays[k]));
+}

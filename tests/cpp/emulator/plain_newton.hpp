@@ -1,0 +1,310 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+/// @file
+/// Newton passes that guides make the steps of, in double precision and dense matrices: as newton_patches.hpp and patch_newton.hpp
+/// define them, and not as they are fast.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <random>
+#include <set>
+#include <vector>
+
+#include <Eigen/Geometry>
+#include <Eigen/LU>
+#include <Eigen/SVD>
+
+#include "emulator/random_network.hpp"
+#include "followthrough/emulator/patch_newton.hpp"
+
+namespace followthrough {
+
+struct NewtonWidths {
+  int iterations = 4;
+  bool guided = true;
+  std::vector<Eigen::Index> hidden;
+};
+
+inline Guide random_guide(std::mt19937& random, GuideSize size, std::vector<Eigen::Index> widths, float first, float gain) {
+  widths.push_back(size.vectors);
+  Guide guide = random_perceptron(random, size.vectors * (size.vectors + 1) / 2 + size.scalars, widths, true);
+  guide.back().weight *= gain;
+  guide.back().bias *= gain;
+  guide.back().bias[0] += first;
+  return guide;
+}
+
+/// Random guides whose coefficients are `gain` off those of a half way start and of whole steps; as many passes as are named.
+inline NewtonSchedule random_schedule(unsigned seed, const std::vector<NewtonWidths>& passes, float gain = 0.05f) {
+  std::mt19937 random(seed);
+  NewtonSchedule schedule;
+  schedule.start = random_guide(random, start_guide_size(), {24, 17}, 0.5f, gain);
+  for (const NewtonWidths& widths : passes) {
+    schedule.passes.push_back({widths.iterations, {}});
+    if (widths.guided) schedule.passes.back().guide = random_guide(random, pass_guide_size(), widths.hidden, 0.9f, gain);
+  }
+  schedule.most_passes = static_cast<int>(passes.size());
+  schedule.tolerance = 0.0;
+  return schedule;
+}
+
+class PlainNewton {
+ public:
+  PlainNewton(const NewtonBody& body, NewtonSchedule schedule) : schedule_(std::move(schedule)), body_(body) {
+    const Eigen::Index n = body.rest_positions.rows();
+    std::vector<double> sorted;
+    double volume = 0, mass = 0;
+    for (Eigen::Index t = 0; t < body.tets.rows(); ++t) {
+      Tet tet;
+      for (int k = 0; k < 4; ++k) tet.corners[k] = body.tets(t, k);
+      const Eigen::Matrix3d edges = edges_of(tet, body.rest_positions);
+      tet.volume = std::abs(edges.determinant()) / 6;
+      tet.gradients.rightCols<3>() = edges.inverse().transpose();
+      for (int k = 0; k < 4; ++k) {
+        tet.modulus += body.youngs_modulus[tet.corners[k]] / 4;
+        tet.density += body.density[tet.corners[k]] / 4;
+      }
+      sorted.push_back(tet.volume);
+      volume += tet.volume;
+      mass += tet.volume * tet.density;
+      tets_.push_back(tet);
+    }
+    std::sort(sorted.begin(), sorted.end());
+    const std::size_t half = sorted.size() / 2;
+    length_ = std::cbrt(6 * (sorted.size() % 2 ? sorted[half] : (sorted[half] + sorted[half - 1]) / 2));
+    masses_ = Eigen::MatrixXd::Zero(n, n);
+    near_.resize(static_cast<std::size_t>(n));
+    lumped_ = Vector::Zero(n);
+    for (Tet& tet : tets_) {
+      tet.volume /= length_ * length_ * length_;
+      tet.gradients *= length_;
+      tet.gradients.col(0) = -tet.gradients.rightCols<3>().rowwise().sum();
+      const double s = tet.modulus * body.dt * body.dt / (mass / volume * length_ * length_), nu = body.poisson_ratio;
+      tet.mu = s / (2 * (1 + nu));
+      tet.lambda = s * nu / ((1 + nu) * (1 - 2 * nu));
+      tet.resistance = s * body.compression_resistance;
+      const double share = tet.density / (mass / volume) * tet.volume / 20;
+      for (const Index a : tet.corners) {
+        lumped_[a] += 5 * share;
+        for (const Index b : tet.corners) {
+          masses_(a, b) += a == b ? 2 * share : share;
+          if (a != b) near_[static_cast<std::size_t>(a)].insert(b);
+        }
+      }
+    }
+    for (Eigen::Index v = 0; v < n; ++v) {
+      if (!body.constrained[v]) free_.push_back(static_cast<Index>(v));
+    }
+    // Tets to the nearest constrained vertex.
+    hops_.assign(static_cast<std::size_t>(n), 20);
+    for (int round = 0; round < 20; ++round) {
+      for (Eigen::Index v = 0; v < n; ++v) {
+        int& mine = hops_[static_cast<std::size_t>(v)];
+        if (body.constrained[v]) mine = 0;
+        for (const Index other : near_[static_cast<std::size_t>(v)])
+          mine = std::min(mine, hops_[static_cast<std::size_t>(other)] + 1);
+      }
+    }
+  }
+
+  void reset(const Positions& reference) { u_.assign(7, reference); }
+
+  const Positions& step(const Positions& reference) {
+    std::vector<Positions> u;
+    for (const Positions& frame : u_) u.push_back(frame / length_);
+    const Positions x1 = reference / length_, &x0 = u[4];
+    y_ = 2 * u[0] - u[1];
+    z_ = y_;
+    Positions w = x1 - x0 - u[0] + u[1];
+    for (Eigen::Index v = 0; v < z_.rows(); ++v) {
+      if (!body_.constrained[v]) continue;
+      z_.row(v) = x1.row(v);
+      w.row(v) = x1.row(v) - y_.row(v);
+    }
+    const Positions a = u[0] - 2 * u[1] + u[2], s = u[0] - x0;
+    z_ +=
+        guided(schedule_.start,
+               {w, a, s, x1 - 2 * x0 + u[5], u[0] - 3 * u[1] + 3 * u[2] - u[3], x0 - 2 * u[5] + u[6], means(w), means(a), means(s)},
+               [&](Index v) -> std::vector<double> { return {nearness(v), log_modulus(v), fullness(v)}; });
+    Positions last = Positions::Zero(z_.rows(), 3);
+    for (int k = 0; k < schedule_.most_passes; ++k) {
+      const NewtonPass& pass = schedule_.passes[std::min(static_cast<std::size_t>(k), schedule_.passes.size() - 1)];
+      assemble();
+      solve(pass.iterations);
+      if (pass.guide.empty()) {
+        last = g_;
+      } else {
+        last = guided(pass.guide, {g_, p_, l_, last, means(g_), means(l_)}, [&](Index v) -> std::vector<double> {
+          return {0.5 * std::log(diagonal(v).trace() / 3 / lumped_[v]), log_modulus(v), nearness(v), fullness(v)};
+        });
+      }
+      z_ += last;
+    }
+    Positions next = z_ * length_;
+    for (Eigen::Index v = 0; v < next.rows(); ++v) {
+      if (body_.constrained[v]) next.row(v) = reference.row(v);
+    }
+    u_ = {next, u_[0], u_[1], u_[2], reference, u_[4], u_[5]};
+    return u_[0];
+  }
+
+ private:
+  struct Tet {
+    Index corners[4];
+    double volume = 0, modulus = 0, density = 0, mu = 0, lambda = 0, resistance = 0;
+    Eigen::Matrix<double, 3, 4> gradients = Eigen::Matrix<double, 3, 4>::Zero();
+  };
+
+  static Eigen::Matrix3d edges_of(const Tet& tet, const Positions& x) {
+    Eigen::Matrix3d edges;
+    for (int k = 0; k < 3; ++k) edges.col(k) = (x.row(tet.corners[k + 1]) - x.row(tet.corners[0])).transpose();
+    return edges;
+  }
+
+  static Eigen::Matrix3d cofactors(const Eigen::Matrix3d& f) {
+    Eigen::Matrix3d a;
+    for (int k = 0; k < 3; ++k) a.row(k) = f.row((k + 1) % 3).cross(f.row((k + 2) % 3));
+    return a;
+  }
+
+  // Proper rotations; the smallest stretch takes the sign.
+  struct Polar {
+    Eigen::Matrix3d u, v;
+    Eigen::Vector3d stretches;
+  };
+  static Polar polar(const Eigen::Matrix3d& f) {
+    const Eigen::JacobiSVD<Eigen::Matrix3d> svd(f, Eigen::ComputeFullU | Eigen::ComputeFullV);
+    Polar p{svd.matrixU(), svd.matrixV(), svd.singularValues()};
+    for (Eigen::Matrix3d* side : {&p.u, &p.v}) {
+      if (side->determinant() > 0) continue;
+      side->col(2) *= -1;
+      p.stretches[2] *= -1;
+    }
+    return p;
+  }
+
+  void assemble() {
+    const Eigen::Index n = z_.rows();
+    gradient_ = masses_ * (z_ - y_);
+    tangent_ = Eigen::MatrixXd::Zero(3 * n, 3 * n);
+    for (Eigen::Index a = 0; a < n; ++a) {
+      for (Eigen::Index b = 0; b < n; ++b) tangent_.block<3, 3>(3 * a, 3 * b) += masses_(a, b) * Eigen::Matrix3d::Identity();
+    }
+    for (const Tet& tet : tets_) {
+      Eigen::Matrix3d f = edges_of(tet, z_) * tet.gradients.rightCols<3>().transpose();
+      const Polar p = polar(f);
+      f = p.u * p.stretches.cwiseMax(0.1).asDiagonal() * p.v.transpose();
+      const Eigen::Matrix3d a = cofactors(f), one = Eigen::Matrix3d::Identity(), strain = 0.5 * (f.transpose() * f - one);
+      const Eigen::Matrix3d s = 2 * tet.mu * strain + tet.lambda * strain.trace() * one;
+      const double gap = std::max(1 - f.determinant(), 0.0);
+      const double pressure = -tet.resistance * gap * gap / 576, bulk = tet.resistance * gap / 288;
+      const bool stretched = s(0, 0) > 0 && s.topLeftCorner<2, 2>().determinant() > 0 && s.determinant() > 0;
+      for (int i = 0; i < 4; ++i) {
+        const Eigen::Vector3d gi = tet.gradients.col(i);
+        gradient_.row(tet.corners[i]) += tet.volume * ((f * s + pressure * a) * gi).transpose();
+        for (int j = 0; j < 4; ++j) {
+          const Eigen::Vector3d gj = tet.gradients.col(j);
+          const Eigen::Vector3d fi = f * gi, fj = f * gj, ai = a * gi, aj = a * gj;
+          Eigen::Matrix3d k = tet.mu * (gi.dot(gj) * f * f.transpose() + fj * fi.transpose()) + tet.lambda * fi * fj.transpose() +
+                              bulk * ai * aj.transpose();
+          if (stretched) k += gi.dot(s * gj) * one;
+          tangent_.block<3, 3>(3 * tet.corners[i], 3 * tet.corners[j]) += tet.volume * k;
+        }
+      }
+    }
+  }
+
+  Eigen::Matrix3d diagonal(Index v) const { return tangent_.block<3, 3>(3 * v, 3 * v); }
+
+  void solve(int iterations) {
+    const Eigen::Index f = static_cast<Eigen::Index>(free_.size());
+    Eigen::MatrixXd matrix(3 * f, 3 * f), inverse = Eigen::MatrixXd::Zero(3 * f, 3 * f);
+    Vector r(3 * f);
+    for (Eigen::Index a = 0; a < f; ++a) {
+      const Index v = free_[static_cast<std::size_t>(a)];
+      r.segment<3>(3 * a) = -gradient_.row(v).transpose();
+      inverse.block<3, 3>(3 * a, 3 * a) = diagonal(v).inverse();
+      for (Eigen::Index b = 0; b < f; ++b) {
+        matrix.block<3, 3>(3 * a, 3 * b) = tangent_.block<3, 3>(3 * v, 3 * free_[static_cast<std::size_t>(b)]);
+      }
+    }
+    for (Positions* channel : {&g_, &p_, &l_}) *channel = Positions::Zero(z_.rows(), 3);
+    Vector x = Vector::Zero(3 * f), s = inverse * r, p = s;
+    const Vector first = s;
+    double square = r.dot(s);
+    const double enough = 0.003 * 0.003 * square;
+    for (int k = 0; k < iterations && square > enough; ++k) {
+      const Vector q = matrix * p;
+      const double length = square / p.dot(q);
+      x += length * p;
+      r -= length * q;
+      s = inverse * r;
+      const double next = r.dot(s);
+      p = s + next / square * p;
+      square = next;
+    }
+    for (Eigen::Index a = 0; a < f; ++a) {
+      const Index v = free_[static_cast<std::size_t>(a)];
+      g_.row(v) = x.segment<3>(3 * a).transpose();
+      p_.row(v) = first.segment<3>(3 * a).transpose();
+      l_.row(v) = s.segment<3>(3 * a).transpose();
+    }
+  }
+
+  double nearness(Index v) const { return 1.0 / (1.0 + hops_[static_cast<std::size_t>(v)]); }
+  double fullness(Index v) const { return static_cast<double>(near_[static_cast<std::size_t>(v)].size()) / 14 - 1; }
+  double log_modulus(Index v) const {
+    return 0.5 * std::log(body_.youngs_modulus[v] * body_.dt * body_.dt / (body_.density[v] * length_ * length_));
+  }
+
+  // Means over the neighbours minus the vertex's own.
+  Positions means(const Positions& vectors) const {
+    Positions result = -vectors;
+    for (const Index v : free_) {
+      for (const Index other : near_[static_cast<std::size_t>(v)]) {
+        result.row(v) += vectors.row(other) / static_cast<double>(near_[static_cast<std::size_t>(v)].size());
+      }
+    }
+    return result;
+  }
+
+  template <typename Scalars>
+  Positions guided(const Guide& guide, const std::vector<Positions>& vectors, const Scalars& scalars) const {
+    Positions steps = Positions::Zero(z_.rows(), 3);
+    for (const Index v : free_) {
+      double square = 1e-18;
+      for (const Positions& vector : vectors) square += vector.row(v).squaredNorm();
+      std::vector<double> inputs;
+      for (std::size_t a = 0; a < vectors.size(); ++a) {
+        for (std::size_t b = a; b < vectors.size(); ++b) {
+          const double product = vectors[a].row(v).dot(vectors[b].row(v));
+          const double root = std::sqrt(std::abs(product) / square + 1e-9);
+          inputs.push_back(product > 0 ? root : product < 0 ? -root : 0.0);
+        }
+      }
+      inputs.push_back(0.125 * std::clamp(std::log(square), -24.0, 6.0) + 0.75);
+      for (const double scalar : scalars(v)) inputs.push_back(scalar);
+      Vector h = Eigen::Map<const Vector>(inputs.data(), static_cast<Eigen::Index>(inputs.size()));
+      for (std::size_t k = 0; k < guide.size(); ++k) {
+        h = guide[k].weight.cast<double>() * h + guide[k].bias.cast<double>();
+        if (k + 1 < guide.size()) h = h.array().tanh().matrix();
+      }
+      for (std::size_t k = 0; k < vectors.size(); ++k) steps.row(v) += h[static_cast<Eigen::Index>(k)] * vectors[k].row(v);
+    }
+    return steps;
+  }
+
+  NewtonSchedule schedule_;
+  NewtonBody body_;
+  double length_ = 0;
+  std::vector<Tet> tets_;
+  Eigen::MatrixXd masses_, tangent_;
+  Vector lumped_;
+  std::vector<std::set<Index>> near_;
+  std::vector<Index> free_;
+  std::vector<int> hops_;
+  std::vector<Positions> u_;  // u(t) to u(t-3), x(t) to x(t-2)
+  Positions y_, z_, gradient_, g_, p_, l_;
+};
+
+}  // namespace followthrough
