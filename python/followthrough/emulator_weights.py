@@ -151,8 +151,8 @@ class EmulatorWeights:
         return sum(array.size for array in self.parameters.values())
 
     def digest(self) -> bytes:
-        """16 bytes that tell apart what predicts differently: of parameters and units, whatever file they are from."""
-        found = hashlib.blake2b(repr(self.trained_on).encode(), digest_size=16)
+        """16 bytes that tell apart what predicts differently: of parameters, units and passes, whatever file they are from."""
+        found = hashlib.blake2b(repr((self.trained_on, self.newton)).encode(), digest_size=16)
         for name, array in sorted(self.parameters.items()):
             found.update(f"{name}{array.shape}".encode())
             found.update(array.data)

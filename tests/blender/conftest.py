@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ bpy = pytest.importorskip("bpy", reason="these tests need Blender's Python modul
 
 @pytest.fixture(autouse=True)
 def fresh_scene() -> Iterator[None]:
+    gc.collect()  # before the data that cycles may still hold is freed: Blender 4.2 can crash after it
     bpy.ops.wm.read_factory_settings(use_empty=True)
     yield
 

@@ -128,6 +128,18 @@ def test_weights_files_keep_everything(weights: EmulatorWeights, tmp_path: Path)
     assert loaded.parameter_count == sum(array.size for array in parameters.values())
 
 
+def test_a_digest_tells_apart_what_predicts_differently(weights: EmulatorWeights) -> None:
+    others = [
+        replace(weights, newton=replace(SCHEDULE, tolerance=1e-2)),
+        replace(weights, newton=replace(SCHEDULE, most_passes=2)),
+        replace(weights, newton=replace(SCHEDULE, iterations=(4, 9))),
+        replace(weights, trained_on=TrainedOn(poisson_ratio=0.4)),
+        replace(weights, parameters=random_newton_parameters(1, SCHEDULE)),
+    ]
+    assert len({weights.digest(), *(other.digest() for other in others)}) == 6
+    assert replace(weights, manifest={"seed": 5}).digest() == weights.digest()
+
+
 def test_weights_that_do_not_fit_are_refused(weights: EmulatorWeights, tmp_path: Path) -> None:
     path = tmp_path / "weights.npz"
     good = dict(weights.parameters)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import os
 import sys
@@ -39,6 +40,7 @@ def open_file(path: Path) -> bool:
     ending = path.suffix.lower()
     if ending != ".blend" and ending not in IMPORTS:
         raise ValueError(f"{path}: found a file of kind {ending or '(none)'!r}, expected .blend, .glb, .gltf or .fbx")
+    gc.collect()  # what cycles still hold of the file that goes: Blender 4.2 can crash where it is freed later
     try:
         with _quiet():
             if ending == ".blend":

@@ -89,7 +89,7 @@ class PatchNetwork(nn.Module):
             Where its rings differ in their widths, or only some of its layers have biases, or it corrects Newton steps.
         """
         if weights.newton is not None:
-            raise ValueError("weights: found a network that corrects Newton steps (patch-newton), expected patch")
+            raise ValueError("weights: found a network that guides Newton steps (guided-newton), expected patch")
 
         def widths(name: str) -> list[int]:
             return [len(weight) for weight, _ in weights.layers(name)]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -180,6 +181,7 @@ def test_options_of_the_simulation_reach_the_bake(character, tmp_path, capfd):
 
 def fails(capfd, arguments, message):
     assert main(["bake", *map(str, arguments), *QUICK]) == 2
+    gc.collect()  # what the error's frames held of the file, while it is still open
     captured = capfd.readouterr()
     lines = [line for line in captured.err.splitlines() if line.startswith("followthrough: error:")]
     assert len(lines) == 1
