@@ -27,7 +27,6 @@ inline Real fma_of(Real a, Real b, Real c) { return {multiply_add(a.v, b.v, c.v)
 inline Real choose(LaneMask m, Real a, Real b) { return {select(m, a.v, b.v)}; }
 inline Real root(Real a) { return {square_root(a.v)}; }
 inline Real not_below(float limit, Real a) { return {larger(broadcast(limit), a.v)}; }
-inline Real not_above(float limit, Real a) { return {smaller(broadcast(limit), a.v)}; }
 
 struct Triple {
   Real x, y, z;

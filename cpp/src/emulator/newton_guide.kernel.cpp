@@ -26,7 +26,7 @@ inline void guide_inputs(const GuideInputs& in, std::int64_t first, float* out) 
       }
     }
     for (std::int32_t k = 0; k < in.scalar_count; ++k, to += kNewtonGroup) {
-      store(to, load(in.scalars + k * std::int64_t{in.padded} + first + lane));
+      store(to, load(in.scalars[k] + first + lane));
     }
   }
 }

@@ -71,8 +71,8 @@ struct GuideInputs {
   const float* const* vectors;   ///< (vector_count,) of (3, padded)
   const float* inverse_squares;  ///< (padded,) one over the sum of the vectors' squares
   std::int32_t scalar_count;
-  const float* scalars;  ///< (scalar_count, padded)
-  float* steps;          ///< out: (3, padded)
+  const float* const* scalars;  ///< (scalar_count,) of (padded,)
+  float* steps;                 ///< out: (3, padded)
 };
 
 /// A layer as PyTorch has it.

@@ -25,7 +25,7 @@ PatchFeatures features_of(const NewtonProblem& p) {
     }
   }
   for (Eigen::Index k = 0; k < p.inputs.scalar_count; ++k) {
-    result.scalars.col(k) = Eigen::Map<const Eigen::VectorXf>(p.inputs.scalars + k * p.padded, p.free_count);
+    result.scalars.col(k) = Eigen::Map<const Eigen::VectorXf>(p.inputs.scalars[k], p.free_count);
   }
   return result;
 }

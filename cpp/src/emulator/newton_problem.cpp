@@ -370,7 +370,8 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   means = floats(kNewtonRecord * columns);
   motion = floats(vector_size);
   records = floats(size(row_count) * kNewtonRecord);
-  scalars = floats(size(kPassScalars) * columns);
+  log_squares = floats(columns);
+  log_diagonals = floats(columns);
   inverse_squares = floats(columns);
   lumped_masses.assign(columns, 1.0f);
   half_log_stiffness.assign(columns, 0.0f);
@@ -426,9 +427,10 @@ void NewtonProblem::arrange(const NewtonBody& body) {
     start_vectors.push_back(mean);
     if (v < 2) pass_vectors.push_back(mean);
   }
+  start_scalars = {log_squares.data(), nearness.data(), half_log_stiffness.data(), fullness.data()};
+  pass_scalars = {log_squares.data(), log_diagonals.data(), half_log_stiffness.data(), nearness.data(), fullness.data()};
   inputs.padded = padded;
   inputs.inverse_squares = inverse_squares.data();
-  inputs.scalars = scalars.data();
   inputs.steps = steps.data();
 }
 
@@ -559,50 +561,39 @@ void NewtonProblem::solve(int iterations) {
   }
 }
 
-void NewtonProblem::describe_start() {
+void NewtonProblem::find_means() {
   const Kernels kernel = kernels();
-  const std::size_t columns = size(padded);
 #pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 600.0))
   for (std::int32_t group = 0; group < groups; ++group) {
     kernel.neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1,
                            means.data());
   }
-  std::copy_n(nearness.data(), columns, scalars.data() + columns);
-  std::copy_n(half_log_stiffness.data(), columns, scalars.data() + 2 * columns);
-  std::copy_n(fullness.data(), columns, scalars.data() + 3 * columns);
-  describe(start_vectors, kStartScalars);
+}
+
+void NewtonProblem::describe_start() {
+  find_means();
+  describe(start_vectors, start_scalars);
 }
 
 void NewtonProblem::describe_pass() {
-  const Kernels kernel = kernels();
-  const std::size_t columns = size(padded);
   const float* averaged[] = {solution.data(), preconditioned.data()};
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(row_count, 15.0))
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(row_count, 25.0))
   for (std::int32_t row = 0; row < row_count; ++row) {
     float* record = records.data() + std::int64_t{row} * kNewtonRecord;
     for (int c = 0; c < 6; ++c) {
       record[c] = row < free_count ? averaged[c / 3][(c % 3) * std::int64_t{padded} + row] : 0.0f;
     }
+    if (row >= free_count) continue;
+    const float* d = diagonal.data() + std::int64_t{row / kNewtonGroup} * 6 * kNewtonGroup + row % kNewtonGroup;
+    const float trace = d[0] + d[kNewtonGroup] + d[2 * kNewtonGroup];
+    log_diagonals.data()[row] = 0.5f * std::log(trace / 3.0f / lumped_masses[size(row)]);
   }
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 600.0))
-  for (std::int32_t group = 0; group < groups; ++group) {
-    kernel.neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1,
-                           means.data());
-    for (std::int32_t lane = 0; lane < kNewtonGroup; ++lane) {
-      const std::int32_t row = group * kNewtonGroup + lane;
-      const float* d = diagonal.data() + std::int64_t{group} * 6 * kNewtonGroup + lane;
-      const float trace = d[0] + d[kNewtonGroup] + d[2 * kNewtonGroup];
-      scalars.data()[columns + size(row)] = row < free_count ? 0.5f * std::log(trace / 3.0f / lumped_masses[size(row)]) : 0.0f;
-    }
-  }
-  std::copy_n(half_log_stiffness.data(), columns, scalars.data() + 2 * columns);
-  std::copy_n(nearness.data(), columns, scalars.data() + 3 * columns);
-  std::copy_n(fullness.data(), columns, scalars.data() + 4 * columns);
-  describe(pass_vectors, kPassScalars);
+  find_means();
+  describe(pass_vectors, pass_scalars);
 }
 
 // The sum of squares, and its logarithm.
-void NewtonProblem::describe(const std::vector<const float*>& vectors, std::int32_t scalar_count) {
+void NewtonProblem::describe(const std::vector<const float*>& vectors, const std::vector<const float*>& scalars) {
 #pragma omp parallel for schedule(static) num_threads(worthwhile_threads(free_count, 40.0))
   for (std::int32_t row = 0; row < free_count; ++row) {
     float square = 1e-18f;
@@ -613,11 +604,12 @@ void NewtonProblem::describe(const std::vector<const float*>& vectors, std::int3
       }
     }
     inverse_squares.data()[row] = 1.0f / square;
-    scalars.data()[row] = 0.125f * std::clamp(std::log(square), -24.0f, 6.0f) + 0.75f;
+    log_squares.data()[row] = 0.125f * std::clamp(std::log(square), -24.0f, 6.0f) + 0.75f;
   }
   inputs.vectors = vectors.data();
   inputs.vector_count = static_cast<std::int32_t>(vectors.size());
-  inputs.scalar_count = scalar_count;
+  inputs.scalars = scalars.data();
+  inputs.scalar_count = static_cast<std::int32_t>(scalars.size());
 }
 
 void NewtonProblem::move(const float* step, bool of_pass) {

@@ -59,8 +59,8 @@ struct NewtonProblem {
   AlignedFloats gradients, materials, shares, slot_masses, border_masses, masses, offsets, blocks, diagonal, inverse, residual,
       preconditioned, directions, product, solution, first, saved_solution;
   // What guides are told, and what they say. Each vector is (3,padded), each number (padded,).
-  AlignedFloats history, means, records, motion, scalars, inverse_squares, steps;
-  std::vector<const float*> start_vectors, pass_vectors;
+  AlignedFloats history, means, records, motion, log_squares, log_diagonals, inverse_squares, steps;
+  std::vector<const float*> start_vectors, pass_vectors, start_scalars, pass_scalars;
   GuideInputs inputs{};
   std::vector<float> lumped_masses, half_log_stiffness, nearness, fullness;
   std::vector<double> positions, start, inertial, saved, last;  // z, its first value, y, z before a step, u(t); (rows, 3)
@@ -76,7 +76,8 @@ struct NewtonProblem {
   void arrange(const NewtonBody& body);
   double sum(int which) const;
   void find_nearness(const NewtonBody& body);
-  void describe(const std::vector<const float*>& vectors, std::int32_t scalar_count);
+  void find_means();
+  void describe(const std::vector<const float*>& vectors, const std::vector<const float*>& scalars);
 };
 
 }  // namespace followthrough
