@@ -8,12 +8,13 @@ from typing import Any
 import bpy
 from bpy.types import Operator
 
-from followthrough.blender import BakeReport, why_not_bakeable
+from followthrough.blender import BakeReport, ObjectSettings, why_not_bakeable
 
 from ..characters import selected_characters
 from ..properties.bake_settings import frame_range, object_settings
 from .session import BakeSession, idle, running
 
+_NONE_SELECTED = "Add Followthrough to a mesh first"
 #: Seconds that are baked before the window may be drawn again: usually, and at most where drawing takes long.
 TIME_SLICE = 0.1
 LONGEST_TIME_SLICE = 0.4
@@ -32,6 +33,20 @@ class StepwiseOperator:
     _bake: BakeSession | None = None
     _timer: bpy.types.Timer | None = None
     _slice_ended: float | None = None
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not idle(cls):
+            return False
+        characters = selected_characters(context)
+        if not characters:
+            cls.poll_message_set(_NONE_SELECTED)
+            return False
+        reason = cls._why_not(characters[0])
+        if reason is not None:
+            cls.poll_message_set(reason)
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Bake at once, for scripts and without a window."""
@@ -113,6 +128,19 @@ class StepwiseOperator:
             context.workspace.status_text_set(None)
         _redraw_sidebars(context)
 
+    @classmethod
+    def _why_not(cls, character: bpy.types.Object) -> str | None:
+        """Why this cannot be done with a character, None where it can."""
+        raise NotImplementedError
+
+    @staticmethod
+    def _chosen(context: bpy.types.Context) -> tuple[list[bpy.types.Object], dict[str, ObjectSettings]]:
+        """The selected characters, and their settings by name."""
+        characters = selected_characters(context)
+        if not characters:
+            raise ValueError(_NONE_SELECTED)
+        return characters, {obj.name: object_settings(obj) for obj in characters}
+
     def _begin(self, context: bpy.types.Context) -> BakeSession:
         raise NotImplementedError
 
@@ -130,24 +158,11 @@ class FOLLOWTHROUGH_OT_bake(StepwiseOperator, Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not idle(cls):
-            return False
-        characters = selected_characters(context)
-        if not characters:
-            cls.poll_message_set("Add Followthrough to a mesh first")
-            return False
-        reason = why_not_bakeable(characters[0], characters[0].followthrough.output)
-        if reason is not None:
-            cls.poll_message_set(reason)
-            return False
-        return True
+    def _why_not(cls, character: bpy.types.Object) -> str | None:
+        return why_not_bakeable(character, character.followthrough.output)
 
     def _begin(self, context: bpy.types.Context) -> BakeSession:
-        characters = selected_characters(context)
-        if not characters:
-            raise ValueError("Add Followthrough to a mesh first")
-        settings = {obj.name: object_settings(obj) for obj in characters}
+        characters, settings = self._chosen(context)
         return BakeSession(context.scene, settings, frame_range(characters[0]))
 
     def _report(self, report: BakeReport, notes: tuple[str, ...]) -> None:

@@ -7,9 +7,7 @@ from bpy.types import Operator
 from followthrough.blender import FrameRange, Learning, LearningReport, why_not_bakeable
 
 from ..bake.operator import StepwiseOperator
-from ..bake.session import BakeSession, idle
-from ..characters import selected_characters
-from ..properties.bake_settings import object_settings
+from ..bake.session import BakeSession
 
 
 class FOLLOWTHROUGH_OT_learn(StepwiseOperator, Operator):
@@ -25,24 +23,11 @@ class FOLLOWTHROUGH_OT_learn(StepwiseOperator, Operator):
     cancelled = "Learning cancelled, nothing was changed"
 
     @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if not idle(cls):
-            return False
-        characters = selected_characters(context)
-        if not characters:
-            cls.poll_message_set("Add Followthrough to a mesh first")
-            return False
-        reason = why_not_bakeable(characters[0])
-        if reason is not None:
-            cls.poll_message_set(reason)
-            return False
-        return True
+    def _why_not(cls, character: bpy.types.Object) -> str | None:
+        return why_not_bakeable(character)
 
     def _begin(self, context: bpy.types.Context) -> BakeSession:
-        characters = selected_characters(context)
-        if not characters:
-            raise ValueError("Add Followthrough to a mesh first")
-        settings = {obj.name: object_settings(obj) for obj in characters}
+        characters, settings = self._chosen(context)
         frames = FrameRange(characters[0].followthrough.learn_start, characters[0].followthrough.learn_end)
         return BakeSession(context.scene, settings, frames, Learning, "Learning, step", "Keeping springs")
 
