@@ -16,7 +16,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from followthrough.benchmarking.methods import SkinningAlone
+from followthrough.character import FloatArray
 from followthrough.elastic import ElasticBody, ImplicitEuler
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights
@@ -28,25 +31,30 @@ from followthrough.solver import Solver, SolverState
 Maker = Callable[[Sequence], Solver]
 
 
-class _Guess(Solver):
-    """A frame that no solver has seen: the reference itself, or the last two frames carried on."""
+class InertiaAlone(SkinningAlone):
+    """The last two frames carried on, constrained vertices on the reference."""
 
-    def __init__(self, constrained: np.ndarray, inertial: bool) -> None:
-        self._constrained, self._inertial = constrained, inertial
+    def __init__(self, constrained: NDArray[np.bool_]) -> None:
+        super().__init__()
+        self._constrained = constrained
 
-    def resume(self, dynamic: np.ndarray, reference: np.ndarray) -> None:
-        self._now, self._before = dynamic[-1], dynamic[max(len(dynamic) - 2, 0)]
+    def resume(self, dynamic: FloatArray, reference: FloatArray) -> None:
+        """Continue after frames that are known."""
+        self._positions, self._before = dynamic[-1], dynamic[max(len(dynamic) - 2, 0)]
 
     def state(self) -> SolverState:
-        return SolverState((self._now, self._before), 0)
+        """The last two frames."""
+        return SolverState((self._positions, self._before), 0)
 
     def restore(self, state: SolverState) -> None:
-        self._now, self._before = state.arrays
+        """Go back to a state."""
+        self._positions, self._before = state.arrays
 
-    def step(self, reference: np.ndarray, next_reference: np.ndarray | None = None) -> np.ndarray:
-        ahead = 2 * self._now - self._before if self._inertial else reference.copy()
+    def step(self, reference: FloatArray, next_reference: FloatArray | None = None) -> FloatArray:
+        """One frame further."""
+        ahead: FloatArray = 2 * self._positions - self._before
         ahead[self._constrained] = reference[self._constrained]
-        self._now, self._before = ahead, self._now
+        self._positions, self._before = ahead, self._positions
         return ahead
 
 
@@ -80,8 +88,8 @@ def simulation(quality: str) -> Maker:
 def methods(weights: EmulatorWeights, others: list[Path]) -> dict[str, Maker]:
     """What is compared, by name."""
     found: dict[str, Maker] = {
-        "reference only": lambda sequence: _Guess(sequence.constrained, inertial=False),
-        "inertial guess": lambda sequence: _Guess(sequence.constrained, inertial=True),
+        "reference only": lambda sequence: SkinningAlone(),
+        "inertial guess": lambda sequence: InertiaAlone(sequence.constrained),
     }
     if weights.newton is not None:
         plain = untrained(weights.newton)

@@ -3,7 +3,6 @@
 #include <doctest/doctest.h>
 
 #include <cmath>
-#include <cstring>
 #include <limits>
 
 #include "elastic/shaken_block.hpp"
@@ -14,16 +13,13 @@
 #include "followthrough/elastic/predictor_corrector.hpp"
 #include "followthrough/errors.hpp"
 #include "followthrough/springs/springs.hpp"
+#include "runs.hpp"
 
 using namespace followthrough;
 
 namespace {
 
 constexpr double dt = 1.0 / 24.0;
-
-bool same_bits(const Positions& a, const Positions& b) {
-  return a.rows() == b.rows() && std::memcmp(a.data(), b.data(), sizeof(double) * static_cast<std::size_t>(a.size())) == 0;
-}
 
 ImplicitEuler flesh(const ShakenBlock& block) { return {block.body, std::make_shared<InvertibleStVK>(), block.constrained, dt}; }
 

@@ -5,7 +5,6 @@
 #include <omp.h>
 
 #include <cmath>
-#include <cstring>
 #include <limits>
 
 #include "emulator/patch_kernel.hpp"
@@ -13,14 +12,11 @@
 #include "emulator/random_network.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
+#include "runs.hpp"
 
 using namespace followthrough;
 
 namespace {
-
-bool same_bits(const Positions& a, const Positions& b) {
-  return a.rows() == b.rows() && std::memcmp(a.data(), b.data(), sizeof(double) * static_cast<std::size_t>(a.size())) == 0;
-}
 
 std::vector<Positions> run(Emulator& emulator, const Positions& rest, int frames) {
   emulator.reset(swinging(rest, 0));
@@ -43,16 +39,6 @@ double difference(const std::vector<Positions>& a, const std::vector<Positions>&
   for (std::size_t f = 0; f < a.size(); ++f) largest = std::max(largest, (a[f] - b[f]).cwiseAbs().maxCoeff());
   return largest;
 }
-
-// Puts the instruction set and the number of threads back.
-struct Usual {
-  InstructionSet set = instruction_set();
-  int threads = omp_get_max_threads();
-  ~Usual() {
-    use_instruction_set(set);
-    omp_set_num_threads(threads);
-  }
-};
 
 }  // namespace
 

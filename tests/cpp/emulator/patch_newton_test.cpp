@@ -6,7 +6,6 @@
 
 #include <cmath>
 #include <cstdlib>
-#include <cstring>
 #include <limits>
 #include <memory>
 #include <random>
@@ -16,16 +15,13 @@
 #include "followthrough/elastic/implicit_euler.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
+#include "runs.hpp"
 
 using namespace followthrough;
 
 namespace {
 
 constexpr double edge = 0.2;
-
-bool same_bits(const Positions& a, const Positions& b) {
-  return a.rows() == b.rows() && std::memcmp(a.data(), b.data(), sizeof(double) * static_cast<std::size_t>(a.size())) == 0;
-}
 
 // Largest distance, in edges.
 double difference(const Positions& a, const Positions& b) { return (a - b).cwiseAbs().maxCoeff() / edge; }
@@ -52,15 +48,6 @@ NewtonBody bent_block(int nx, int ny, int nz) {
 }
 
 std::vector<NewtonWidths> two_networks() { return {{4, true, {24, 24}}, {6, true, {16}}, {12, false, {}}}; }
-
-struct Usual {
-  InstructionSet set = instruction_set();
-  int threads = omp_get_max_threads();
-  ~Usual() {
-    use_instruction_set(set);
-    omp_set_num_threads(threads);
-  }
-};
 
 }  // namespace
 

@@ -5,12 +5,12 @@
 #include <omp.h>
 
 #include <cmath>
-#include <cstring>
 #include <limits>
 
 #include "elastic/blocks.hpp"
 #include "followthrough/errors.hpp"
 #include "followthrough/quasistatic/over_quasistatic.hpp"
+#include "runs.hpp"
 
 using namespace followthrough;
 
@@ -36,10 +36,6 @@ Positions posed(const Positions& rest, double amount) {
   pose.col(1) += amount * rest.col(0);
   pose.col(2) += 0.5 * amount * rest.col(0).cwiseAbs2();
   return pose;
-}
-
-bool same_bits(const Positions& a, const Positions& b) {
-  return a.rows() == b.rows() && std::memcmp(a.data(), b.data(), static_cast<std::size_t>(a.size()) * sizeof(double)) == 0;
 }
 
 }  // namespace

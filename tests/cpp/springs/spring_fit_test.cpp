@@ -5,13 +5,13 @@
 #include <omp.h>
 
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <random>
 #include <string>
 
 #include "followthrough/errors.hpp"
 #include "followthrough/springs/springs.hpp"
+#include "runs.hpp"
 
 using namespace followthrough;
 
@@ -86,10 +86,6 @@ double worst_error(const SpringFit& fit, const Synthetic& truth) {
 SpringFit fit(const Motion& motion, const SpringFitSettings& settings = {}, ConstMask skipped = Mask()) {
   const SpringTraining training[] = {{motion.reference, motion.dynamic, dt}};
   return fit_springs(training, skipped, 0, motion.reference.cols() / 3, settings);
-}
-
-bool same_bits(const Vector& a, const Vector& b) {
-  return a.size() == b.size() && std::memcmp(a.data(), b.data(), sizeof(double) * static_cast<std::size_t>(a.size())) == 0;
 }
 
 std::string message_of(const auto& work) {

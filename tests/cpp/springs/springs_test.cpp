@@ -5,13 +5,13 @@
 #include <omp.h>
 
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <random>
 
 #include "followthrough/errors.hpp"
 #include "followthrough/springs/particle.hpp"
 #include "instruction_set.hpp"
+#include "runs.hpp"
 
 using namespace followthrough;
 
@@ -51,10 +51,6 @@ std::vector<Positions> run(Springs& springs, const std::vector<Positions>& motio
     result.push_back(springs.step(motion[frame], frame + 1 < motion.size() ? &motion[frame + 1] : nullptr));
   }
   return result;
-}
-
-bool same_bits(const Positions& a, const Positions& b) {
-  return a.rows() == b.rows() && std::memcmp(a.data(), b.data(), sizeof(double) * static_cast<std::size_t>(a.size())) == 0;
 }
 
 }  // namespace
