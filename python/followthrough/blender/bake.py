@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import concurrent.futures
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
@@ -33,6 +32,7 @@ from followthrough.blender.scene import (
 )
 from followthrough.blender.still_meshes import StillMeshes
 from followthrough.blender.vertex_weights import VertexWeights, read_weights
+from followthrough.blender.work_beside import work_beside_blender
 from followthrough.character import BonePose, Paint, Pose, Surface
 from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings
@@ -42,8 +42,6 @@ from followthrough.volume import make_tets
 LOOK_AHEAD = 2**26
 #: Seconds for which poses are read at once.
 BURST = 0.02
-#: Seconds after which a thread that makes a volume gets its turn while poses are read; Python's own 5 ms would add up.
-SWITCH_INTERVAL = 5e-4
 
 
 @dataclass(frozen=True)
@@ -280,10 +278,7 @@ class Bake:
         scene.frame_set(self.start)
         self._still = StillMeshes(deformations, self._view_layer())
         self._restore.append(self._still.show)
-        interval = sys.getswitchinterval()
-        sys.setswitchinterval(SWITCH_INTERVAL)
-        thread = concurrent.futures.ThreadPoolExecutor(max_workers=1)
-        try:
+        with work_beside_blender() as thread:
             for name, settings in objects.items():
                 self._read_character(bpy.data.objects[name], settings, deformations[name], thread)
             self._searched = [character for character in self._characters if character.finder is not None]
@@ -293,9 +288,6 @@ class Bake:
             self._read_ahead_until(self._characters[-1].made)
             for character in self._characters:
                 character.made.result()
-        finally:
-            thread.shutdown(wait=False, cancel_futures=True)
-            sys.setswitchinterval(interval)
 
     def _read_character(
         self,

@@ -14,10 +14,15 @@ def with_progress(items: Iterable[Item], description: str, unit: str = "frame", 
     """Show how far the caller has come through `items`, with the time left."""
     if quiet:
         return items
+    bar: Iterable[Item] = _bars()(items, desc=description, unit=f" {unit}", file=sys.stderr)
+    return bar
+
+
+def _bars() -> Any:
     from tqdm import tqdm
 
-    bar: Iterable[Item] = tqdm(items, desc=description, unit=f" {unit}", file=sys.stderr)
-    return bar
+    tqdm.monitor_interval = 0  # no thread beside Blender (`blender/work_beside.py`)
+    return tqdm
 
 
 class ProgressBar:
@@ -30,9 +35,7 @@ class ProgressBar:
     def begin(self, total: int) -> None:
         """There are so many units of work."""
         if not self._quiet and total > 0:
-            from tqdm import tqdm
-
-            self._bar = tqdm(total=total, desc=self._description, unit=f" {self._unit}", file=sys.stderr)
+            self._bar = _bars()(total=total, desc=self._description, unit=f" {self._unit}", file=sys.stderr)
 
     def advance(self, units: int) -> None:
         """So many more are done."""

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import bpy
@@ -278,16 +277,24 @@ def test_interrupted_it_leaves_nothing_behind(character, tmp_path, monkeypatch, 
 def test_killed_the_same_command_goes_on(character, tmp_path, capfd):
     source, target, whole = save(tmp_path / "in.blend"), tmp_path / "out.blend", tmp_path / "whole.blend"
     options = ["--start", "1", "--end", "400", "--solver", "implicit-euler", *QUICK]
-    program = (
-        "import sys; from followthrough.blender import bake_recovery; bake_recovery.SAVE_INTERVAL = 0.05; "
-        "from followthrough.cli import main; sys.exit(main(sys.argv[1:]))"
+    program = tmp_path / "program.py"  # stands still after the second time that it has saved
+    program.write_text(
+        "import itertools, sys, time\n"
+        "from followthrough.blender import bake_cache, bake_recovery\n"
+        "from followthrough.cli import main\n"
+        "bake_recovery.SAVE_INTERVAL, save, count = 0.05, bake_cache.BakeCache.save, itertools.count(1)\n"
+        "def save_and_wait(*arguments):\n"
+        "    save(*arguments)\n"
+        "    if next(count) == 2:\n"
+        "        print('saved', flush=True)\n"
+        "        time.sleep(3600)\n"
+        "bake_cache.BakeCache.save = save_and_wait\n"
+        "sys.exit(main(sys.argv[1:]))\n"
     )
-    arguments = [sys.executable, "-c", program, "bake", str(source), "-o", str(target), *options]
+    arguments = [sys.executable, str(program), "bake", str(source), "-o", str(target), *options]
     folder = cache_folder(target)
-    with subprocess.Popen(arguments) as process:
-        while not list(folder.glob("*.npz")):
-            assert process.poll() is None
-            time.sleep(0.01)
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as process:
+        assert any("saved" in line for line in process.stdout)
         process.kill()
     assert not target.exists()
     assert folder.is_dir()
