@@ -40,7 +40,7 @@ class NewtonSchedule:
         three times as much. In frames whose first step is shorter than a tenth of an edge it is smaller in proportion.
     """
 
-    iterations: tuple[int, ...] = (10, 10)
+    iterations: tuple[int, ...] = (32, 32)
     most_passes: int = 4
     tolerance: float = 1e-3
 

@@ -86,7 +86,7 @@ class GuidedNewtonNetwork(nn.Module):
     def __init__(
         self,
         *,
-        iterations: Sequence[int] = (10, 10),
+        iterations: Sequence[int] = (32, 32),
         widths: Sequence[int] = (24, 24),
         most_passes: int = 4,
         tolerance: float = 1e-3,

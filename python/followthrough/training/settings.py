@@ -184,13 +184,13 @@ class NewtonSettings(LearningSettings):
     architecture: ClassVar[str] = "guided-newton"
     bounds: ClassVar[Bounds] = (*LearningSettings.bounds, ("repeats", 0, 100), ("evenness", 0, 1))
 
-    steps: int = 24_000
+    steps: int = 40_000
     frames_a_step: int = 6
     learning_rate: float = 5e-3
     warmup_steps: int = 100
     weight_decay: float = 1e-5
     average: float = 0.998
-    iterations: tuple[int, ...] = (10, 10)
+    iterations: tuple[int, ...] = (32, 32)
     widths: tuple[int, ...] = (24, 24)
     most_passes: int = 4
     tolerance: float = 1e-3

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The weights that ship, on scenes that they have not seen: as exact at every frame rate and cell size, and nothing breaks them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from elastic_scenes import Array, bar, violent
+
+from followthrough.elastic import ElasticBody, ImplicitEuler
+from followthrough.emulator import Emulator
+from followthrough.emulator_weights import EmulatorWeights
+from followthrough.sequences import Sequence
+from followthrough.simulation import simulate
+
+DENSITY = 1000.0
+
+
+@pytest.fixture(scope="module")
+def weights() -> EmulatorWeights:
+    return EmulatorWeights.shipped()
+
+
+def swung_and_stopped(rest: Array, seconds: Array) -> Array:
+    """Bends to and fro, turns, jumps, and stops dead after 0.9 s."""
+    frames = []
+    for t in np.minimum(seconds, 0.9):
+        angle = 0.8 * math.sin(2 * math.pi * 1.1 * t)
+        turn = np.array([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
+        jump = 0.25 * math.sin(math.pi * min(max((t - 0.3) / 0.3, 0.0), 1.0))
+        frames.append(rest @ turn.T + [0.0, 0.1 * math.sin(9 * t), jump])
+    return np.array(frames)
+
+
+@dataclass(frozen=True)
+class Case:
+    frames_a_second: float
+    edge: float
+    youngs_modulus: float
+
+    def sequence(self) -> Sequence:
+        cells = [round(length / self.edge) for length in (1.6, 0.8, 0.4)]
+        rest, tets = bar(*cells, edge=self.edge)
+        dt = 1 / self.frames_a_second
+        return Sequence(
+            rest_positions=rest,
+            tets=tets,
+            constrained=rest[:, 0] < 0.05,
+            youngs_modulus=self.youngs_modulus * (1 + rest[:, 1]),
+            density=DENSITY,
+            dt=dt,
+            reference=swung_and_stopped(rest, dt * np.arange(round(1.5 * self.frames_a_second))),
+        )
+
+
+def errors_and_motion(case: Case, weights: EmulatorWeights) -> tuple[float, float]:
+    """Root mean squares over a whole rollout, edges: of the error, and of what secondary motion there is."""
+    sequence = case.sequence()
+    solver = ImplicitEuler(ElasticBody.of_sequence(sequence), sequence.constrained, sequence.dt, quality="converged")
+    truth = simulate(sequence, solver).dynamic
+    found = simulate(sequence, Emulator.of_sequence(sequence, weights)).dynamic
+    assert truth is not None
+    assert found is not None
+    return tuple(math.sqrt(np.mean(d**2)) / case.edge for d in (found - truth, truth - sequence.reference))
+
+
+@pytest.mark.parametrize("frames_a_second", [24.0, 30.0, 60.0])
+@pytest.mark.parametrize("edge", [0.1, 0.2, 0.4])
+def test_as_exact_at_every_frame_rate_and_cell_size(
+    weights: EmulatorWeights, frames_a_second: float, edge: float
+) -> None:
+    error, motion = errors_and_motion(Case(frames_a_second, edge, 6e4), weights)
+    assert error < 0.01 * motion
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 5.0, 25.0, 100.0])
+def test_as_exact_at_every_stiffness(weights: EmulatorWeights, stiffness: float) -> None:
+    error, motion = errors_and_motion(Case(30.0, 0.2, stiffness * DENSITY * 0.2**2 * 30.0**2), weights)
+    assert motion > 0.03
+    assert error < 0.01 * motion + 0.003
+
+
+def test_one_material_moves_alike_whatever_the_units(weights: EmulatorWeights) -> None:
+    """A scene a hundred times as large, in other units of time and mass, is the same scene."""
+    sequence = Case(30.0, 0.2, 6e4).sequence()
+    expected = simulate(sequence, Emulator.of_sequence(sequence, weights)).dynamic
+    length, time, mass = 100.0, 7.0, 3.0
+    scaled = Sequence(
+        rest_positions=length * sequence.rest_positions,
+        tets=sequence.tets,
+        constrained=sequence.constrained,
+        youngs_modulus=mass / (length * time**2) * sequence.youngs_modulus,
+        density=mass / length**3 * DENSITY,
+        dt=time * sequence.dt,
+        reference=length * sequence.reference,
+    )
+    found = simulate(scaled, Emulator.of_sequence(scaled, weights)).dynamic
+    assert expected is not None
+    assert found is not None
+    np.testing.assert_allclose(found / length, expected, rtol=0, atol=1e-5)
+
+
+def mistreat(weights: EmulatorWeights, stiffness: float, frames: int, burst: int, peace: int) -> None:
+    """Bursts of teleports, flips, mirror images and collapse, each followed by peace, in which the body comes back to rest."""
+    rest, tets = bar(3, 2, 2)
+    held = rest[:, 0] < 0.1
+    dt = math.sqrt(0.001)
+    modulus = np.full(len(rest), stiffness * DENSITY * 0.2**2 / dt**2)
+    done = seed = 0
+    while done < frames:
+        seed += 1
+        motion = np.array(list(violent(rest, burst, seed)))
+        reference = np.concatenate([motion, np.tile(rest, (peace, 1, 1))])
+        sequence = Sequence(rest, tets, held, modulus, dt, reference=reference)
+        solver = Emulator.of_sequence(sequence, weights)
+        solver.reset(reference[0])
+        farthest = np.abs(reference).max()
+        for target in reference[1:]:
+            x = solver.step(target)
+            assert np.isfinite(x).all()
+            np.testing.assert_array_equal(x[held], target[held])
+            assert np.abs(x).max() < 3 * farthest
+        # The softest still swing after the peace, as backward Euler does.
+        assert np.abs(x - rest).max() < (1e-4 if stiffness > 2 else 1.5)
+        done += burst + peace
+
+
+STIFFNESSES = [0.5, 1.25, 5.0, 25.0, 150.0]
+
+
+@pytest.mark.parametrize("stiffness", STIFFNESSES)
+def test_a_little_violence(weights: EmulatorWeights, stiffness: float) -> None:
+    mistreat(weights, stiffness, frames=300, burst=30, peace=300)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stiffness", STIFFNESSES)
+def test_ten_thousand_frames_of_violence(weights: EmulatorWeights, stiffness: float) -> None:
+    mistreat(weights, stiffness, frames=10_000, burst=60, peace=300)
