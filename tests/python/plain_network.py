@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The patch network of [DE] in plain NumPy, as it is defined and not as it is fast; and random weights for it."""
+"""The patch network of [DE] in plain NumPy, as it is defined and not as it is fast; guides of Newton steps
+likewise; and random weights for both."""
 
 import itertools
 from collections.abc import Mapping
@@ -114,32 +115,32 @@ class PlainNetwork:
 
 
 def random_newton_parameters(
-    seed: int, schedule: NewtonSchedule, widths: tuple[int, ...] = (12, 8)
-) -> dict[str, np.ndarray]:
-    """Random guides whose coefficients are near those of a half way start and of whole steps."""
+    seed: int, schedule: NewtonSchedule, *, widths: tuple[int, ...] = (12, 8), gain: float = 0.3
+) -> dict[str, Array]:
+    """Random guides of Newton steps around their usual ones: half of the start's first vector, a pass's direction."""
     random = np.random.default_rng(seed)
-    parameters = {}
+    parameters: dict[str, Array] = {}
     for guide, size in schedule.guides().items():
-        inputs = guide_inputs(size)
-        for k, outputs in enumerate((*widths, size[0])):
-            gain = 0.05 if k == len(widths) else 1.0
-            parameters[f"{guide}.{k}.weight"] = (gain * random.normal(size=(outputs, inputs)) / np.sqrt(inputs)).astype(
-                np.float32
-            )
-            parameters[f"{guide}.{k}.bias"] = (0.1 * gain * random.normal(size=outputs)).astype(np.float32)
-            inputs = outputs
-        parameters[f"{guide}.{len(widths)}.bias"][0] += 0.5 if guide == "start" else 0.9
+        for k, (inputs, outputs) in enumerate(itertools.pairwise((guide_inputs(size), *widths, size[0]))):
+            scale = gain if k == len(widths) else 1.0
+            weight = scale * random.normal(size=(outputs, inputs)) / np.sqrt(inputs)
+            bias = scale * 0.1 * random.normal(size=outputs)
+            if k == len(widths):
+                bias[0] += 0.5 if guide == "start" else 1.0
+            parameters[f"{guide}.{k}.weight"] = weight.astype(np.float32)
+            parameters[f"{guide}.{k}.bias"] = bias.astype(np.float32)
     return parameters
 
 
-def guided_step(parameters: dict[str, np.ndarray], guide: str, vectors: np.ndarray, scalars: np.ndarray) -> np.ndarray:
-    """What a guide makes of vectors (f, v, 3) and numbers (f, k)."""
-    products = vectors @ vectors.transpose(0, 2, 1)
-    square = np.trace(products, axis1=1, axis2=2)[:, None] + 1e-18
+def guided_step(parameters: Mapping[str, Array], guide: str, vectors: Array, scalars: Array) -> Array:
+    """Steps (f, 3) that a guide makes of vectors (f, v, 3) and other numbers (f, k), in double precision."""
+    vectors = vectors.astype(np.float64)
+    products = np.einsum("fak,fbk->fab", vectors, vectors)
+    squares = np.einsum("fvk,fvk->f", vectors, vectors)[:, None] + 1e-18
     pairs = products[:, *np.triu_indices(vectors.shape[1])]
-    h = np.concatenate([np.sign(pairs) * np.sqrt(np.abs(pairs) / square + 1e-9), scalars], axis=1)
-    depth = sum(name.startswith(f"{guide}.") and name.endswith("bias") for name in parameters)
+    hidden = np.concatenate([np.sign(pairs) * np.sqrt(np.abs(pairs) / squares + 1e-9), scalars], axis=1)
+    depth = sum(name.startswith(f"{guide}.") and name.endswith(".weight") for name in parameters)
     for k in range(depth):
-        h = h @ parameters[f"{guide}.{k}.weight"].T + parameters[f"{guide}.{k}.bias"]
-        h = np.tanh(h) if k + 1 < depth else h
-    return np.einsum("iv,iva->ia", h, vectors)
+        hidden = (np.tanh(hidden) if k else hidden) @ parameters[f"{guide}.{k}.weight"].T
+        hidden = hidden + parameters[f"{guide}.{k}.bias"]
+    return np.einsum("fv,fvk->fk", hidden, vectors)
