@@ -8,10 +8,11 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
-from file_contents import contents, keys, points
 from numpy.typing import NDArray
 
 from followthrough.blender import bake_recovery
+
+from .file_contents import contents, keys, points
 
 
 def running_bake(addon: ModuleType, obj: bpy.types.Object) -> Any:

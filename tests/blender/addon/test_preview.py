@@ -10,10 +10,11 @@ from types import ModuleType
 import bpy
 import numpy as np
 import pytest
-from file_contents import contents, keys
 from numpy.typing import NDArray
 
 from followthrough.blender import PINS_GROUP, preview, write_group
+
+from .file_contents import contents, keys
 
 PREVIEW = "Followthrough Preview"
 
