@@ -325,7 +325,7 @@ def paint(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Stiffness, mass and pins, (v,) each: what Add Followthrough suggests, and what an artist makes of it.
 
-    Face, hands, feet and the small parts are pinned, the belly is softer and heavier, and the tail's tip is heavier.
+    Face, hands, feet and the small parts are pinned, and the tail's tip is heavy.
     """
     bones = all_bones()
     surface = Surface(
@@ -341,12 +341,11 @@ def paint(
     soft = np.maximum.reduce(
         [smoothstep(0.0, 0.2, regions[name]) for name in ("ear", "tail", "belly", "rump", "sides", "cheek")]
     )
-    stiffness, mass, pins = suggested.stiffness.copy(), suggested.mass.copy(), suggested.pins.copy()
+    mass, pins = suggested.mass.copy(), suggested.pins.copy()
     pins[:body] = np.maximum(pins[:body], 1.0 - soft)
     pins[body:] = 1.0
-    stiffness[:body] = np.clip(stiffness[:body] - 0.08 * regions["belly"], 0.0, 1.0)
-    mass[:body] += 0.1 * np.maximum(smoothstep(0.7, 1.0, regions["tail"]), regions["belly"])
-    return stiffness, mass, pins
+    mass[:body] += 0.1 * smoothstep(0.7, 1.0, regions["tail"])
+    return suggested.stiffness, mass, pins
 
 
 def small_parts(detail: float) -> list[tuple[FloatArray, list[tuple[int, ...]], FloatArray, str]]:

@@ -25,7 +25,7 @@ from followthrough.settings import SimulationSettings, VolumeSettings
 from followthrough.volume import HARD_PIN, Volume, build_volume
 
 #: At which a part of the character is to swing, Hz.
-FREQUENCY = 3.5
+FREQUENCY = 4.0
 #: Square of a part's lowest natural frequency (rad/s) times its largest sag.
 SAG_FACTOR = 1.4
 #: Distances to the bones between which pins fade, as shares of what half of the skin is nearer than: long ears without bones do not count.

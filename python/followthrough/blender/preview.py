@@ -116,6 +116,11 @@ class Preview:
         """What is previewed."""
         return tuple(character.name for character in self._characters)
 
+    @property
+    def volume_vertex_counts(self) -> dict[str, int]:
+        """Simulated vertices of each object, by name."""
+        return {made.name: len(made.motion.volume.tet_mesh.vertices) for made in self._characters}
+
     def show(self, scene: bpy.types.Scene, settings: Mapping[str, ObjectSettings] | None = None) -> None:
         """Show the scene's current frame, which Blender has evaluated.
 
