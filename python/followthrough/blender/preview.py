@@ -161,9 +161,7 @@ class Preview:
     def sleep(self) -> None:
         """Take all traces off for a while, as for saving the file."""
         self._asleep = True
-        for name in self.object_names:
-            if name in bpy.data.objects:
-                preview_key.remove(bpy.data.objects[name])
+        preview_key.remove_left_over()  # whatever the objects are called by now
 
     def wake(self) -> None:
         """Go on after `sleep`, where it stopped."""

@@ -340,6 +340,16 @@ def test_an_object_that_goes_ends_it_with_the_reason(addon: ModuleType, painted:
     assert "removed" in addon.preview.live.why_ended()
 
 
+def test_a_renamed_object_ends_it_without_a_trace(addon: ModuleType, painted: bpy.types.Object) -> None:
+    on()
+    played(painted, range(1, 4))
+    painted.name = "Pillar"
+    bpy.context.scene.frame_set(4)
+    assert addon.preview.running() is None
+    assert "renamed" in addon.preview.live.why_ended()
+    assert keys(painted) == []
+
+
 def test_edit_mode_meanwhile_is_left_alone(addon: ModuleType, painted: bpy.types.Object) -> None:
     on()
     played(painted, range(1, 4))
