@@ -8,6 +8,7 @@ medians of the rounds, milliseconds a frame.
 from __future__ import annotations
 
 import argparse
+import itertools
 import statistics
 import sys
 import time
@@ -20,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
 
 import demo_character
 from followthrough import blender
-from followthrough.settings import SOLVERS, Settings
+from followthrough.settings import SOLVERS, Settings, VolumeSettings
 
 
 def main() -> None:
@@ -28,6 +29,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Time a frame of the live preview.")
     parser.add_argument("--vertices", type=int, default=14000)
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--cells", type=int, nargs="+", default=[20, 25], help="along the longest side")
     arguments = parser.parse_args()
     bpy.ops.wm.read_factory_settings(use_empty=True)
     character = demo_character.build(arguments.vertices)
@@ -36,8 +38,9 @@ def main() -> None:
     print(f"{len(mesh.data.vertices):,} vertices, {scene.frame_end} frames, Blender {bpy.app.version_string}")
     print("| solver | vertices of the volume | Blender alone | with the preview | the preview itself |")
     print("| --- | ---: | ---: | ---: | ---: |")
-    for solver in SOLVERS:
-        settings = blender.ObjectSettings(motion=replace(Settings(), solver=solver))
+    for solver, cells in itertools.product(SOLVERS, arguments.cells):
+        motion = replace(Settings(), solver=solver, volume=VolumeSettings(cells=cells))
+        settings = blender.ObjectSettings(motion=motion)
         alone, previewed, own = [], [], []
         for _ in range(arguments.rounds):
             alone.append(_play(scene, None)[0])
