@@ -50,7 +50,7 @@ test-slow: setup ## Tests that take minutes: ten thousand frames of violence for
 
 test-blender: setup
 	@$(PY) tools/require_bpy.py
-	@$(PY) -m pytest tests/blender
+	@bash tools/blender_tests.sh $(PY)
 
 test-blender-versions: $(VENV)/.tools ## The Blender tests in bpy 4.2, 4.5, 5.0 (Python 3.11) and 5.2 (Python 3.13)
 	@bash tools/test_blender_versions.sh
