@@ -93,9 +93,10 @@ bench: setup ## Benchmarks of the core beside memory copy speed, and of the bake
 bench-springs: setup ## Learning 14,000 springs beside a straight Python implementation
 	@$(PY) cpp/bench/spring_fit_time.py
 
-bench-bake: setup ## Bake time over the time of merely stepping the same frames in Blender
+bench-bake: setup ## Bake time over the time of merely stepping the same frames in Blender, and what the live preview takes
 	@$(PY) tools/require_bpy.py
 	@$(PY) cpp/bench/bake_time.py
+	@$(PY) cpp/bench/preview_time.py
 
 lint: $(VENV)/.tools types ## Check formatting, style, types and licence lines
 	@$(VENV)/bin/ruff check python addon tests examples tools cpp

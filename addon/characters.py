@@ -16,6 +16,23 @@ def active_character(context: bpy.types.Context) -> bpy.types.Object | None:
     return obj if obj is not None and obj.followthrough.is_added else None
 
 
+def why_not_editable(obj: bpy.types.Object) -> str | None:
+    """Reason why nothing can be kept on this object's mesh (groups, colours, what was learned); None where it can."""
+    mesh = obj.data
+    library = mesh.library if mesh.library is not None else obj.library
+    if library is not None:
+        return (
+            f"The mesh of '{obj.name}' is linked from {library.filepath}, and what is changed on it would be lost: change it in "
+            "that file, or make it local (Object > Relations > Make Local)"
+        )
+    if mesh.override_library is not None:
+        return (
+            f"The mesh of '{obj.name}' overrides a linked one, and what is changed on it would be lost: make it local "
+            "(Object > Relations > Make Local)"
+        )
+    return None
+
+
 def selected_characters(context: bpy.types.Context) -> list[bpy.types.Object]:
     """The active character and those selected with it, which are baked together."""
     active = active_character(context)

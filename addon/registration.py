@@ -3,9 +3,16 @@
 
 import bpy
 
-from . import bake, learning, painting, properties, ui
+from . import bake, learning, painting, preview, properties, ui
 
-_classes: tuple[type, ...] = (*properties.classes, *painting.classes, *bake.classes, *learning.classes, *ui.classes)
+_classes: tuple[type, ...] = (
+    *properties.classes,
+    *painting.classes,
+    *bake.classes,
+    *preview.classes,
+    *learning.classes,
+    *ui.classes,
+)
 
 
 def register() -> None:
@@ -20,10 +27,12 @@ def register() -> None:
             bpy.utils.unregister_class(cls)
         raise
     bpy.types.Object.followthrough = bpy.props.PointerProperty(type=properties.FollowthroughSettings)
+    preview.register_handlers()
 
 
 def unregister() -> None:
     """Take all of it back. What objects had set stays in the file as it is, and is there again when the add-on is."""
+    preview.unregister_handlers()
     bake.stop()
     learning.stop_drawing()
     del bpy.types.Object.followthrough

@@ -31,13 +31,13 @@ SHEET_CAMERA = Camera(position=(4.0, -5.4, 1.9), target=(0.0, 0.08, 1.0), half_h
 
 #: Moments of the contact sheet: frame and caption.
 MOMENTS = [
-    (18, "step"),
-    (47, "crouch"),
+    (23, "step"),
+    (45, "crouch"),
     (54, "take-off"),
     (60, "in the air"),
-    (68, "landing"),
-    (71, "rebound"),
-    (76, "fast stop"),
+    (65, "landing"),
+    (69, "rebound"),
+    (73, "fast stop"),
     (97, "shake"),
 ]
 

@@ -29,6 +29,8 @@ from demo_surface import (
     smooth_union,
     tube,
 )
+from followthrough.character import Rig, Surface
+from followthrough.suggestions import suggest_paint
 
 #: Head, tail and parent of every bone; bones of the left side stand for both.
 BONES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float], str | None]] = {
@@ -318,26 +320,32 @@ def centre_of(path: FloatArray, place: FloatArray) -> FloatArray:
     return np.column_stack([np.interp(place, at, column) for column in path.T])
 
 
-def paint_body(regions: dict[str, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Stiffness, mass and pins of the body's vertices, (v,) each.
+def paint(
+    vertices: FloatArray, faces: list[tuple[int, ...]], weights: FloatArray, regions: dict[str, FloatArray], body: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Stiffness, mass and pins, (v,) each: what Add Followthrough suggests, and what an artist makes of it.
 
-    What hangs free of bones is soft: belly, rump, cheeks, and ears and tail ever softer towards their tips. Face, hands
-    and feet are pinned.
+    Face, hands, feet and the small parts are pinned, and the tail's tip is heavy.
     """
-    softness = np.maximum.reduce(
-        [
-            0.90 * smoothstep(0.02, 1.0, regions["ear"]),
-            0.75 * smoothstep(0.02, 1.0, regions["tail"]),
-            0.64 * regions["belly"],
-            0.45 * regions["rump"],
-            0.30 * regions["sides"],
-            0.20 * regions["cheek"],
-        ]
+    bones = all_bones()
+    surface = Surface(
+        rest_positions=vertices,
+        triangles=np.array([(f[0], f[k], f[k + 1]) for f in faces for k in range(1, len(f) - 1)], dtype=np.int32),
+        rig=Rig(
+            bone_indices=np.tile(np.arange(len(bones), dtype=np.int32), (len(vertices), 1)),
+            bone_weights=weights,
+            bone_segments=np.array([[head, tail] for head, tail, _ in bones.values()]),
+        ),
     )
-    pins = 1.0 - smoothstep(0.0, 0.25, softness)
-    stiffness = 1.0 - softness
-    mass = 0.5 + 0.1 * np.maximum(smoothstep(0.7, 1.0, regions["tail"]), regions["belly"])
-    return stiffness, mass, pins
+    suggested = suggest_paint(surface)
+    soft = np.maximum.reduce(
+        [smoothstep(0.0, 0.2, regions[name]) for name in ("ear", "tail", "belly", "rump", "sides", "cheek")]
+    )
+    mass, pins = suggested.mass.copy(), suggested.pins.copy()
+    pins[:body] = np.maximum(pins[:body], 1.0 - soft)
+    pins[body:] = 1.0
+    mass[:body] += 0.1 * smoothstep(0.7, 1.0, regions["tail"])
+    return suggested.stiffness, mass, pins
 
 
 def small_parts(detail: float) -> list[tuple[FloatArray, list[tuple[int, ...]], FloatArray, str]]:
@@ -420,7 +428,6 @@ def make_creature(vertices: int = 9000) -> Creature:
     normals = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)
     bones, weights = skin_weights(body, edges, smoothing=round(0.06 / cell) ** 2)
     regions = body_regions(body)
-    stiffness, mass, pins = paint_body(regions)
     colours = body_colours(body, normals, regions)
     occlusion = np.ones(len(body))
     for reach in (0.03, 0.06, 0.12):
@@ -436,12 +443,11 @@ def make_creature(vertices: int = 9000) -> Creature:
         row = np.zeros(len(bones))
         row[bones.index(bone)] = 1.0
         weights = np.vstack([weights, np.tile(row, (len(points), 1))])
-        stiffness, mass, pins, occlusion = (
-            np.concatenate([values, np.full(len(points), filler)])
-            for values, filler in ((stiffness, 0.9), (mass, 0.5), (pins, 1.0), (occlusion, 1.0))
-        )
+        occlusion = np.concatenate([occlusion, np.ones(len(points))])
+    points = np.concatenate(everything)
+    stiffness, mass, pins = paint(points, faces, weights, regions, len(body))
     return Creature(
-        vertices=np.concatenate(everything),
+        vertices=points,
         faces=faces,
         colours=colours,
         occlusion=np.clip(occlusion, 0.0, 1.0),

@@ -7,6 +7,7 @@ from bpy.types import Operator
 from followthrough.blender import baked_range, clear
 
 from ..characters import selected_characters
+from ..preview import live
 from .session import idle
 
 
@@ -29,6 +30,7 @@ class FOLLOWTHROUGH_OT_clear(Operator):
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        live.end()
         names = [obj.name for obj in selected_characters(context)]
         try:
             cleared = [name for name in names if clear(context.scene.objects[name])]

@@ -11,6 +11,7 @@ from bpy.types import Operator
 from followthrough.blender import BakeReport, ObjectSettings, why_not_bakeable
 
 from ..characters import selected_characters
+from ..preview import live
 from ..properties.bake_settings import frame_range, object_settings
 from .session import BakeSession, idle, running
 
@@ -51,6 +52,7 @@ class StepwiseOperator:
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Bake at once, for scripts and without a window."""
         try:
+            live.end()
             bake = self._begin(context)
             bake.advance(math.inf)
             self._report(bake.finish(), bake.notes())
@@ -63,6 +65,7 @@ class StepwiseOperator:
         if bpy.app.background or context.window is None:
             return self.execute(context)
         try:
+            live.end()
             self._bake = self._begin(context)
         except ValueError as error:
             self.report({"ERROR"}, str(error))

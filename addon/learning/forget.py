@@ -7,7 +7,7 @@ from bpy.types import Operator
 from followthrough.blender import has_learned, remove_learned
 
 from ..bake.session import idle
-from ..characters import selected_characters
+from ..characters import selected_characters, why_not_editable
 from . import heat_map
 
 
@@ -23,6 +23,9 @@ class FOLLOWTHROUGH_OT_forget_learned(Operator):
             return False
         if not any(map(has_learned, selected_characters(context))):
             cls.poll_message_set("Nothing was learned")
+            return False
+        for reason in filter(None, map(why_not_editable, selected_characters(context))):
+            cls.poll_message_set(reason)
             return False
         return True
 

@@ -11,7 +11,7 @@ from followthrough.blender.modes import object_mode
 from followthrough.spring_heat_map import HeatMap, Quantity, heat_map
 
 from ..bake.session import idle
-from ..characters import active_character
+from ..characters import active_character, why_not_editable
 from . import legend
 
 ATTRIBUTE = "Followthrough Heat Map"
@@ -116,6 +116,9 @@ class FOLLOWTHROUGH_OT_show_heat_map(Operator):
         if obj is None or not has_learned(obj):
             cls.poll_message_set("Learn from a simulation first")
             return False
+        if reason := why_not_editable(obj):
+            cls.poll_message_set(reason)
+            return False
         return idle(cls)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -138,7 +141,12 @@ class FOLLOWTHROUGH_OT_hide_heat_map(Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         obj = active_character(context)
-        return obj is not None and is_shown(obj)
+        if obj is None or not is_shown(obj):
+            return False
+        if reason := why_not_editable(obj):
+            cls.poll_message_set(reason)
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         hide(active_character(context))

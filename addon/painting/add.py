@@ -18,7 +18,7 @@ class FOLLOWTHROUGH_OT_add(Operator):
     bl_label = "Add Followthrough"
     bl_description = (
         "Create vertex groups for stiffness, mass and pins with suggested values: "
-        "skin near the bones is pinned, and gets softer the farther it is from them"
+        "skin near the bones is pinned, and the rest is as stiff as it must be to swing about four times a second"
     )
     bl_options = {"REGISTER", "UNDO"}
 

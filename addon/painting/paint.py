@@ -7,7 +7,7 @@ from bpy.types import Operator
 
 from followthrough.blender import MASS_GROUP, STIFFNESS_GROUP
 
-from ..characters import active_character
+from ..characters import active_character, why_not_editable
 
 #: What each target means at its ends, for the panel and the tooltips.
 MEANINGS = {
@@ -81,6 +81,9 @@ class FOLLOWTHROUGH_OT_paint(Operator):
             return False
         if not obj.visible_get():
             cls.poll_message_set("Show the mesh first: a hidden one cannot be painted")
+            return False
+        if reason := why_not_editable(obj):
+            cls.poll_message_set(reason)
             return False
         return True
 

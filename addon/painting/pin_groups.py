@@ -6,7 +6,7 @@ from bpy.types import Operator
 
 from followthrough.blender import PINS_GROUP
 
-from ..characters import active_character
+from ..characters import active_character, why_not_editable
 
 
 class FOLLOWTHROUGH_OT_add_pin_group(Operator):
@@ -17,7 +17,13 @@ class FOLLOWTHROUGH_OT_add_pin_group(Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return active_character(context) is not None
+        obj = active_character(context)
+        if obj is None:
+            return False
+        if reason := why_not_editable(obj):
+            cls.poll_message_set(reason)
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         obj = active_character(context)

@@ -9,6 +9,7 @@ from followthrough.blender import clear, remove_groups, remove_learned
 from ..bake.session import idle
 from ..characters import selected_characters
 from ..learning import heat_map
+from ..preview import live
 
 
 class FOLLOWTHROUGH_OT_remove(Operator):
@@ -30,6 +31,7 @@ class FOLLOWTHROUGH_OT_remove(Operator):
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        live.end()
         names = [obj.name for obj in selected_characters(context)]
         for name in names:
             remove(context, name)

@@ -17,6 +17,8 @@ from ..characters import active_character, active_mesh, meshes_of_armature, sele
 from ..painting.add import FOLLOWTHROUGH_OT_add
 from ..painting.paint import FOLLOWTHROUGH_OT_select_character
 from ..painting.remove import FOLLOWTHROUGH_OT_remove
+from ..preview import live
+from ..preview.operator import FOLLOWTHROUGH_OT_preview
 from ..properties.bake_settings import frame_range, object_settings
 
 
@@ -90,6 +92,7 @@ def draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         return
     start = scene.frame_start if frames.start is None else frames.start
     end = scene.frame_end if frames.end is None else frames.end
+    draw_preview(layout, context)
     draw_cautions(layout, context, characters)
     text = f"Bake {end - start + 1} Frames"
     if len(characters) > 1:
@@ -102,6 +105,22 @@ def draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     row.operator(FOLLOWTHROUGH_OT_bake.bl_idname, text=text, icon="PHYSICS")
     if stopped is not None:
         row.operator(FOLLOWTHROUGH_OT_discard_stopped_bake.bl_idname, text="", icon="X")
+
+
+def draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The switch of the live preview, how fast it is, and why it ended where it did so by itself."""
+    preview = live.running()
+    column = layout.column(align=True)
+    column.operator(
+        FOLLOWTHROUGH_OT_preview.bl_idname,
+        text="End Preview" if preview is not None else "Preview",
+        icon="PAUSE" if preview is not None else "PLAY",
+        depress=preview is not None,
+    )
+    if preview is not None:
+        column.label(text=live.figures(preview), icon="INFO")
+    elif live.why_ended():
+        draw_text(column, context, f"Preview ended: {live.why_ended()}", icon="ERROR")
 
 
 def draw_cautions(layout: bpy.types.UILayout, context: bpy.types.Context, characters: list[bpy.types.Object]) -> None:

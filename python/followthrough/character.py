@@ -209,22 +209,3 @@ def flesh_thickness(surface: Surface) -> float:
     if surface.rig is None or not len(surface.rig.holding_segments):
         return 0.0
     return float(np.percentile(surface.bone_distances, 95))
-
-
-def suggest_paint(surface: Surface) -> Paint:
-    """A start for an artist: skin close to a bone is pinned, and gets softer the farther it is from one ([ZS] 3.1, figure 8).
-
-    Without an armature nothing is pinned, and everything is of medium stiffness.
-    """
-    count = len(surface.rest_positions)
-    neutral = np.full(count, 0.5)
-    thickness = flesh_thickness(surface)
-    if surface.rig is None or thickness <= 0:
-        return Paint(stiffness=neutral, mass=neutral.copy(), pins=np.zeros(count))
-    depth = surface.bone_distances / thickness
-    fade = np.clip((0.6 - depth) / (0.6 - 0.35), 0.0, 1.0)
-    return Paint(
-        stiffness=np.clip(1.25 - depth, 0.0, 1.0),
-        mass=neutral,
-        pins=fade * fade * (3.0 - 2.0 * fade),
-    )

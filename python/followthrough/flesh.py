@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from followthrough.character import FloatArray
 from followthrough.elastic import ElasticBody, ImplicitEuler
+from followthrough.mesh import connected_parts
 from followthrough.settings import SimulationSettings
 from followthrough.solver import Solver
 from followthrough.springs import Springs
@@ -135,22 +136,11 @@ def nothing_to_simulate(flesh: Flesh, dt: float) -> Springs:
 
 def loose_vertices(volume: Volume) -> NDArray[np.bool_]:
     """Vertices (n,) of those connected parts of a volume that no pin holds, neither hard nor soft."""
-    parts = _connected_parts(volume.tet_mesh.tets, len(volume.pins))
+    parts = connected_parts(volume.tet_mesh.tets, len(volume.pins))
     strongest = np.zeros(len(parts))
     np.maximum.at(strongest, parts, volume.pins)
     loose: NDArray[np.bool_] = strongest[parts] < _LEAST_PIN
     return loose
-
-
-def _connected_parts(tets: NDArray[np.int32], vertex_count: int) -> NDArray[np.intp]:
-    """Lowest vertex (n,) of the connected part that each vertex is in."""
-    lowest: NDArray[np.intp] = np.arange(vertex_count)
-    while True:
-        before = lowest.copy()
-        np.minimum.at(lowest, tets, lowest[tets].min(axis=1, keepdims=True))
-        lowest = lowest[lowest]
-        if np.array_equal(lowest, before):
-            return lowest
 
 
 def logarithmic(ends: tuple[float, float], painted: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from collections import Counter
@@ -135,7 +136,14 @@ def test_belly_ears_and_tail_move_after_a_bake_and_pins_do_not() -> None:
     scene.frame_start, scene.frame_end = 1, demo_motion.play(character.armature, [("Jump", 1, 1, 0)])
     frames = range(1, scene.frame_end + 1)
     skinned = positions_in(frames, character.mesh)
-    bake = blender.Bake(scene, {character.mesh.name: blender.ObjectSettings(motion=demo_character.MOTION)})
+    bake = blender.Bake(
+        scene,
+        {
+            character.mesh.name: blender.ObjectSettings(
+                motion=dataclasses.replace(demo_character.MOTION, solver="implicit-euler")
+            )
+        },
+    )
     for _ in bake.run():
         pass
     bake.finish()
@@ -143,7 +151,7 @@ def test_belly_ears_and_tail_move_after_a_bake_and_pins_do_not() -> None:
 
     creature = character.creature
     regions = demo_creature.body_regions(creature.vertices[: creature.body])
-    for region, least in (("belly", 0.05), ("ear", 0.15), ("tail", 0.05)):
+    for region, least in (("belly", 0.03), ("ear", 0.08), ("tail", 0.05)):
         soft = moved[:, : creature.body][:, regions[region] > 0.8]
         assert soft.max() > least, f"{region} hardly moves"
         assert soft.max() < 0.6, f"{region} comes off"

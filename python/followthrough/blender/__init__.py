@@ -31,6 +31,8 @@ from followthrough.blender.groups import (
 from followthrough.blender.learned_springs import has_learned, read_learned, remove_learned
 from followthrough.blender.learning import Learning, LearningReport, ObjectLearning
 from followthrough.blender.outputs import OUTPUTS, OutputKind, baked_range, clear
+from followthrough.blender.preview import Preview, why_not_previewable
+from followthrough.blender.preview_key import remove_left_over
 from followthrough.blender.rig_reading import read_surface
 from followthrough.blender.scene import NotBakeableError, action_frames, skinned_meshes, why_not_bakeable
 
@@ -52,6 +54,7 @@ __all__ = [
     "OutputKind",
     "PaintGroups",
     "PinGroup",
+    "Preview",
     "Progress",
     "action_frames",
     "add_groups",
@@ -65,8 +68,10 @@ __all__ = [
     "read_surface",
     "remove_groups",
     "remove_learned",
+    "remove_left_over",
     "resumable_frame",
     "skinned_meshes",
     "why_not_bakeable",
+    "why_not_previewable",
     "write_group",
 ]

@@ -14,11 +14,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from followthrough.blender import actions, modes, outputs, point_cache, shape_keys
+from followthrough.blender import actions, modes, outputs
 from followthrough.blender.bake_cache import BakeCache, plan_of
 from followthrough.blender.bake_recovery import Recovery
 from followthrough.blender.bake_report import BakeReport, ObjectReport
 from followthrough.blender.baked_character import BakedCharacter
+from followthrough.blender.earlier_bake import HiddenBake, hide_bake, show_bake
 from followthrough.blender.groups import PaintGroups, read_paint
 from followthrough.blender.outputs import OUTPUTS, OutputKind
 from followthrough.blender.probes import OffsetFinder
@@ -28,6 +29,7 @@ from followthrough.blender.scene import (
     NotBakeableError,
     require_bakeable,
     require_posed,
+    require_visible,
     skeletons_of,
 )
 from followthrough.blender.still_meshes import StillMeshes
@@ -148,7 +150,7 @@ class Bake:
         view_layer = self._view_layer()
         self._blend = blend or (Path(bpy.data.filepath) if bpy.data.filepath else None)
         for name, settings in objects.items():
-            _require_visible(name, scene, view_layer)
+            require_visible(name, scene, view_layer)
             require_bakeable(bpy.data.objects[name], settings.output)
             if settings.output == "pc2" and self._blend is None:
                 raise NotBakeableError("a point cache lies beside its .blend: save the file first")
@@ -269,10 +271,7 @@ class Bake:
         }
         for name, deformation in deformations.items():
             obj = bpy.data.objects[name]
-            self._mute_our_keys(obj)
-            cached = point_cache.our_modifier(obj)
-            if cached is not None and obj.modifiers[cached].show_viewport:
-                self._switch_off(obj, (cached,))
+            self._hide_earlier_bake(obj)
             if deformation.armature is None:
                 self._switch_off(obj, deformation.behind)
         scene.frame_set(self.start)
@@ -383,7 +382,7 @@ class Bake:
         schedule = [(frame, False) for frame in range(self.start - frames.preroll, self.start)]
         if frames.cycles:
             first, last = self._read(self.start), self._read(self.end)
-            closed = self.end > self.start and all(map(_same_pose, first, last))
+            closed = self.end > self.start and all(map(same_pose, first, last))
             loop = range(self.start, self.end if closed else self.end + 1)
             schedule += [(frame, False) for _ in range(frames.cycles) for frame in loop]
             after = self.start + int(closed)
@@ -507,7 +506,7 @@ class Bake:
         with _told_apart(f"frame {frame}"):
             poses = [character.reader.read(view_layer) for character in self._characters]
         for character, pose in zip(self._characters, poses, strict=True):
-            if not _is_finite(pose):
+            if not is_finite(pose):
                 raise ValueError(f"Object '{character.name}', frame {frame}: the pose is not finite (NaN or infinity)")
         return poses
 
@@ -530,37 +529,13 @@ class Bake:
             view_layer.update()
         return view_layer
 
-    def _mute_our_keys(self, obj: bpy.types.Object) -> None:
-        key = obj.data.shape_keys
-        if shape_keys.is_absolute_bake(key):
-            self._make_relative(obj)
-        names = [name for name in shape_keys.our_names(key) if not key.key_blocks[name].mute]
-        if not names:
-            return
-
-        def set_mute(mute: bool, name: str = obj.name) -> None:
-            found = bpy.data.objects.get(name)
-            blocks = found.data.shape_keys.key_blocks if found is not None and found.data.shape_keys is not None else {}
-            for block in names:
-                if block in blocks:
-                    blocks[block].mute = mute
-
-        self._restore.append(lambda: set_mute(False))
-        set_mute(True)
-
-    def _make_relative(self, obj: bpy.types.Object) -> None:
-        """Absolute keys of an earlier bake show the rest shape as relative ones: their values are 0."""
-
-        def set_relative(relative: bool, name: str = obj.name) -> None:
-            found = bpy.data.objects.get(name)
-            if found is not None and found.data.shape_keys is not None:
-                found.data.shape_keys.use_relative = relative
-
-        self._restore.append(lambda: set_relative(False))
-        set_relative(True)
+    def _hide_earlier_bake(self, obj: bpy.types.Object) -> None:
+        name, hidden = obj.name, hide_bake(obj)
+        if hidden != HiddenBake():
+            self._restore.append(lambda: show_bake(name, hidden))
 
     def _switch_off(self, obj: bpy.types.Object, modifiers: tuple[str, ...]) -> None:
-        """Hide modifiers behind the deformation, which would change the number of vertices, and what an earlier bake made."""
+        """Hide modifiers behind the deformation, which would change the number of vertices."""
 
         def show(visible: bool, name: str = obj.name) -> None:
             found = bpy.data.objects.get(name)
@@ -605,15 +580,8 @@ def _told_apart(place: str) -> Iterator[None]:
         raise ValueError(f"{place}: {problem}") from problem
 
 
-def _require_visible(name: str, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
-    obj = scene.objects.get(name)
-    if obj is None:
-        raise NotBakeableError(f"Object '{name}' is not in scene '{scene.name}'")
-    if not obj.visible_get(view_layer=view_layer):
-        raise NotBakeableError(f"Object '{name}' is hidden, and Blender does not pose it: show it (and its collection)")
-
-
-def _is_finite(pose: Pose) -> bool:
+def is_finite(pose: Pose) -> bool:
+    """Whether all numbers of a pose are."""
     local = pose.bone_matrices if isinstance(pose, BonePose) else pose.positions
     return bool(np.isfinite(local).all() and np.isfinite(pose.world).all())
 
@@ -623,7 +591,7 @@ def _size(pose: Pose) -> int:
     return pose.bone_matrices.nbytes if isinstance(pose, BonePose) else pose.positions.nbytes
 
 
-def _same_pose(first: Pose, last: Pose) -> bool:
+def same_pose(first: Pose, last: Pose) -> bool:
     """Whether two poses put a character in the same place, up to what importers and curves round."""
     if isinstance(first, BonePose) and isinstance(last, BonePose):
         pairs = [(first.bone_matrices, last.bone_matrices)]

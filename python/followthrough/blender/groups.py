@@ -13,7 +13,8 @@ from followthrough.blender.learned_springs import read_learned
 from followthrough.blender.modes import object_mode
 from followthrough.blender.rig_reading import read_surface, with_skeleton
 from followthrough.blender.vertex_weights import VertexWeights, read_weights
-from followthrough.character import FloatArray, Paint, Surface, suggest_paint
+from followthrough.character import FloatArray, Paint, Surface
+from followthrough.suggestions import suggest_paint
 
 STIFFNESS_GROUP = "Followthrough Stiffness"
 MASS_GROUP = "Followthrough Mass"

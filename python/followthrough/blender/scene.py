@@ -10,7 +10,7 @@ import bpy
 from followthrough.blender.actions import has_foreign_animation, played_range, scene_frames
 from followthrough.blender.outputs import OutputKind
 from followthrough.blender.point_cache import our_modifier
-from followthrough.blender.shape_keys import is_absolute_bake, our_names
+from followthrough.blender.shape_keys import is_absolute_bake, passing_names
 
 #: Modifiers that move vertices one by one and keep their number.
 DEFORMING = frozenset(
@@ -142,6 +142,21 @@ def require_posed(obj: bpy.types.Object) -> None:
         )
 
 
+def require_visible(name: str, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
+    """Check that Blender poses an object.
+
+    Raises
+    ------
+    NotBakeableError
+        Where it is not in the scene, or hidden.
+    """
+    obj = scene.objects.get(name)
+    if obj is None:
+        raise NotBakeableError(f"Object '{name}' is not in scene '{scene.name}'")
+    if not obj.visible_get(view_layer=view_layer):
+        raise NotBakeableError(f"Object '{name}' is hidden, and Blender does not pose it: show it (and its collection)")
+
+
 def _is_deformed_by_parent(obj: bpy.types.Object) -> bool:
     return obj.parent is not None and obj.parent_type in {"ARMATURE", "LATTICE"} and obj.parent.type != "MESH"
 
@@ -197,7 +212,7 @@ def _require_usable_keys(obj: bpy.types.Object, name: str) -> None:
 
 def _require_no_other_keys(obj: bpy.types.Object, name: str) -> None:
     key = obj.data.shape_keys
-    ours = our_names(key)
+    ours = passing_names(key)
     others = [] if key is None else [block.name for block in key.key_blocks[1:] if block.name not in ours]
     if others or has_foreign_animation(key):
         raise NotBakeableError(
@@ -266,7 +281,7 @@ def _has_active_keys(key: bpy.types.Key | None) -> bool:
     """Whether shape keys of others take part in the deformation, now or in another frame."""
     if key is None:
         return False
-    ours = our_names(key)
+    ours = passing_names(key)
     others = [block for block in key.key_blocks[1:] if block.name not in ours and not block.mute]
     if not others:
         return False

@@ -20,7 +20,8 @@ from followthrough.blender.modes import object_mode
 
 #: Custom property of the Key data-block that says what is ours.
 RECORD = "followthrough"
-
+#: Another one, which says which key shows a live preview, and how it goes away.
+PREVIEW = "followthrough_preview"
 
 #: From one absolute key to the next: Blender's own distance.
 _KEY_DISTANCE = 10.0
@@ -63,7 +64,7 @@ def write(
     expected = (len(frames), len(obj.data.vertices), 3)
     if offsets.shape != expected or not len(frames):
         raise ValueError(f"offsets: found shape {offsets.shape}, expected {expected}, at least one frame")
-    with object_mode(obj.name), _same_active_key(obj):
+    with object_mode(obj.name), same_active_key(obj):
         made_basis = _remove(obj, keep_basis=True) or obj.data.shape_keys is None
         if obj.data.shape_keys is None:
             obj.shape_key_add(name="Basis", from_mix=False)
@@ -114,7 +115,7 @@ def clear(obj: bpy.types.Object) -> bool:
     """
     if obj.type != "MESH" or obj.data.shape_keys is None or RECORD not in obj.data.shape_keys:
         return False
-    with object_mode(obj.name), _same_active_key(obj):
+    with object_mode(obj.name), same_active_key(obj):
         _remove(obj, keep_basis=False)
         obj.data.update_tag()
     return True
@@ -134,6 +135,14 @@ def our_names(key: bpy.types.Key | None) -> frozenset[str]:
     return frozenset(record["names"]) & frozenset(key.key_blocks.keys()) | actions.animated_blocks(key)
 
 
+def passing_names(key: bpy.types.Key | None) -> frozenset[str]:
+    """Names of the shape keys that do not count as the mesh's own: those of a bake, and the one that shows a live preview."""
+    ours = our_names(key)
+    if key is None or PREVIEW not in key:
+        return ours
+    return ours | {json.loads(key[PREVIEW])["name"]}
+
+
 def is_absolute_bake(key: bpy.types.Key | None) -> bool:
     """Whether the shape keys are absolute because a bake made them so."""
     record = _record(key)
@@ -146,7 +155,7 @@ class TrialKey:
     def __init__(self, name: str) -> None:
         self._object = name
         obj = bpy.data.objects[name]
-        with _same_active_key(obj):
+        with same_active_key(obj):
             self._made_basis = obj.data.shape_keys is None
             if self._made_basis:
                 obj.shape_key_add(name="Basis", from_mix=False)
@@ -172,7 +181,7 @@ class TrialKey:
         obj = bpy.data.objects.get(self._object)
         if obj is None or not self._is_on(obj.data):
             return
-        with object_mode(obj.name), _same_active_key(obj):
+        with object_mode(obj.name), same_active_key(obj):
             key = obj.data.shape_keys
             obj.shape_key_remove(key.key_blocks[self._name])
             if self._made_basis and len(key.key_blocks) == 1:
@@ -222,7 +231,7 @@ def _remove(obj: bpy.types.Object, keep_basis: bool) -> bool:
 
 
 @contextmanager
-def _same_active_key(obj: bpy.types.Object) -> Iterator[None]:
+def same_active_key(obj: bpy.types.Object) -> Iterator[None]:
     """Keep the active shape key active, wherever in the list it is afterwards."""
     active = obj.active_shape_key.name if obj.active_shape_key is not None else None
     yield

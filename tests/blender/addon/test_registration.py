@@ -38,9 +38,13 @@ def test_a_class_that_is_refused_takes_the_others_with_it(addon: ModuleType, mon
 
 
 def test_every_action_can_be_undone_under_its_name(addon: ModuleType) -> None:
-    """All but one that deletes a cache and leaves the file alone."""
+    """All but those that leave the file alone: one deletes a cache, one shows a preview that leaves no trace."""
+    untouching = {
+        addon.bake.discard.FOLLOWTHROUGH_OT_discard_stopped_bake,
+        addon.preview.operator.FOLLOWTHROUGH_OT_preview,
+    }
     for cls in addon.registration._classes:
-        if issubclass(cls, bpy.types.Operator) and cls is not addon.bake.discard.FOLLOWTHROUGH_OT_discard_stopped_bake:
+        if issubclass(cls, bpy.types.Operator) and cls not in untouching:
             assert {"REGISTER", "UNDO"} <= cls.bl_options, cls
             assert cls.bl_label.replace(" from ", " From ").istitle(), cls  # prepositions stay small
 

@@ -91,7 +91,10 @@ os._exit(0)  # without Python's shutdown, in which 4.2 crashes
 
 
 def export(blend, path):
-    """Write a .glb or .fbx of what is saved there, in a Blender of its own: in 4.2 exporting can break one that has opened many files."""
+    """Write a .glb or .fbx of what is saved there, in a Blender of its own.
+
+    In 4.2 the glTF exporter can break a session that has opened many files.
+    """
     scene = bpy.context.scene
     arguments = [str(blend), str(path), str(scene.frame_start), str(scene.frame_end)]
     subprocess.run([sys.executable, "-c", EXPORT, *arguments], check=True, capture_output=True)

@@ -18,7 +18,7 @@ from followthrough.blender import (
     read_surface,
     write_group,
 )
-from followthrough.character import suggest_paint
+from followthrough.suggestions import suggest_paint
 
 
 def test_missing_groups_are_added_with_suggestions(character):

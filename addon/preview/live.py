@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The preview that is running, if one is: it follows the timeline, and leaves no trace in files, undo steps and renders."""
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import bpy
+from bpy.app.handlers import persistent
+
+from followthrough.blender import ObjectSettings, Preview, remove_left_over
+
+from ..properties.bake_settings import object_settings
+
+#: Seconds after which the panel shows new figures.
+_FIGURES = 0.5
+
+_running: Preview | None = None
+_ended_because = ""
+_drawn = 0.0
+
+
+def running() -> Preview | None:
+    """The preview under way."""
+    return _running
+
+
+def why_ended() -> str:
+    """Why the last preview ended by itself; empty where it did not."""
+    return _ended_because
+
+
+def start(
+    scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], loop: tuple[int, int] | None = None
+) -> Preview:
+    """Begin one, in the place of another.
+
+    Raises
+    ------
+    ValueError
+        Where it cannot be previewed, in words for the artist.
+    """
+    global _running
+    end()
+    preview = Preview(scene, objects, loop)
+    try:
+        preview.show(scene)
+    except BaseException:
+        preview.end()
+        raise
+    _running = preview
+    bpy.app.handlers.frame_change_post.append(_follow)
+    return preview
+
+
+def end(reason: str = "") -> None:
+    """End it; everything is as it was before it."""
+    global _running, _ended_because
+    ended, _running, _ended_because = _running, None, reason
+    _forget_handler()
+    if ended is not None:
+        ended.end()
+        _redraw()
+
+
+def figures(preview: Preview) -> str:
+    """How fast it is, for the panel."""
+    if not preview.frames_per_second:
+        return "Play the timeline"
+    return f"{preview.frames_per_second:.0f} frames a second, {preview.milliseconds:.1f} ms a frame"
+
+
+def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """The timeline has moved."""
+    global _drawn
+    preview = _running
+    if preview is None or (depsgraph is not None and depsgraph.mode == "RENDER"):
+        return
+    try:
+        preview.show(scene, _settings(preview, scene))
+    except (ValueError, ReferenceError) as problem:
+        end(str(problem))
+        return
+    if time.monotonic() > _drawn + _FIGURES:
+        _drawn = time.monotonic()
+        _redraw()
+
+
+def _settings(preview: Preview, scene: bpy.types.Scene) -> dict[str, ObjectSettings]:
+    found = (scene.objects.get(name) for name in preview.object_names)
+    return {obj.name: object_settings(obj) for obj in found if obj is not None and obj.followthrough.is_added}
+
+
+def _forget_handler() -> None:
+    handlers = bpy.app.handlers.frame_change_post
+    if _follow in handlers:
+        handlers.remove(_follow)
+
+
+def _redraw() -> None:
+    manager = bpy.context.window_manager
+    for window in manager.windows if manager is not None else ():
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+@persistent
+def _rest(*_: Any) -> None:
+    """Files are saved without the preview."""
+    if _running is not None:
+        _running.sleep()
+
+
+@persistent
+def _go_on(*_: Any) -> None:
+    if _running is not None:
+        _running.wake()
+
+
+@persistent
+def _pause(*_: Any) -> None:
+    """Pictures are rendered without the preview."""
+    if _running is not None:
+        _running.pause()
+
+
+@persistent
+def _unpause(*_: Any) -> None:
+    if _running is not None:
+        _running.unpause()
+
+
+@persistent
+def _leave_file(*_: Any) -> None:
+    """Another file is opened: nothing of this one may be touched afterwards."""
+    global _running, _ended_because
+    _running, _ended_because = None, ""
+    _forget_handler()
+
+
+@persistent
+def _clean(*_: Any) -> None:
+    """Undo, or a file that was saved by itself, has brought back a preview that is over."""
+    if _running is None:
+        remove_left_over()
+
+
+#: Handlers that are there as long as the add-on is, by the name of their list.
+_HANDLERS = {
+    "save_pre": _rest,
+    "save_post": _go_on,
+    "save_post_fail": _go_on,
+    "render_init": _pause,
+    "render_complete": _unpause,
+    "render_cancel": _unpause,
+    "load_pre": _leave_file,
+    "load_post": _clean,
+    "undo_post": _clean,
+    "redo_post": _clean,
+}
+
+
+def register_handlers() -> None:
+    """Listen to what happens to the file."""
+    for name, handler in _HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def unregister_handlers() -> None:
+    """Listen no longer, and end the preview."""
+    end()
+    for name, handler in _HANDLERS.items():
+        handlers = getattr(bpy.app.handlers, name)
+        if handler in handlers:
+            handlers.remove(handler)

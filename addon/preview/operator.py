@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Preview: shows the motion while the timeline plays, without baking it."""
+
+import bpy
+from bpy.types import Operator
+
+from followthrough.blender import why_not_previewable
+
+from ..bake.session import idle
+from ..characters import selected_characters
+from ..properties.bake_settings import frame_range, object_settings
+from . import live
+
+
+class FOLLOWTHROUGH_OT_preview(Operator):
+    bl_idname = "followthrough.preview"
+    bl_label = "Preview Followthrough"
+    bl_description = (
+        "Show the secondary motion of the selected characters while the timeline plays, without baking it; once more ends it. "
+        "The motion begins anew where the timeline jumps. Nothing of it is saved, rendered or kept"
+    )
+    # No undo step of its own: it leaves no trace that could be undone.
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not idle(cls):
+            return False
+        if live.running() is not None:
+            return True
+        characters = selected_characters(context)
+        if not characters:
+            cls.poll_message_set("Add Followthrough to a mesh first")
+            return False
+        reason = why_not_previewable(characters[0])
+        if reason is not None:
+            cls.poll_message_set(reason)
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Switch it on or off."""
+        if live.running() is not None:
+            live.end()
+            return {"FINISHED"}
+        characters = selected_characters(context)
+        try:
+            objects = {obj.name: object_settings(obj) for obj in characters}
+            live.start(context.scene, objects, _loop(characters[0], context.scene) if characters else None)
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """The same from a button, which also starts the playback."""
+        result = self.execute(context)
+        if live.running() is not None and context.screen is not None and not context.screen.is_animation_playing:
+            bpy.ops.screen.animation_play()
+        return result
+
+
+def _loop(obj: bpy.types.Object, scene: bpy.types.Scene) -> tuple[int, int] | None:
+    """First and last frame where the character's frames are a cycle."""
+    if not obj.followthrough.use_loop:
+        return None
+    frames = frame_range(obj)
+    start = scene.frame_start if frames.start is None else frames.start
+    return start, scene.frame_end if frames.end is None else frames.end
