@@ -88,7 +88,7 @@ class GuidedNewtonNetwork(nn.Module):
         *,
         iterations: Sequence[int] = (32, 32),
         widths: Sequence[int] = (24, 24),
-        most_passes: int = 4,
+        most_passes: int = 8,
         tolerance: float = 1e-3,
     ) -> None:
         super().__init__()

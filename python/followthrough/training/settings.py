@@ -192,7 +192,7 @@ class NewtonSettings(LearningSettings):
     average: float = 0.998
     iterations: tuple[int, ...] = (32, 32)
     widths: tuple[int, ...] = (24, 24)
-    most_passes: int = 4
+    most_passes: int = 8
     tolerance: float = 1e-3
     repeats: int = 1
     evenness: float = 0.75

@@ -20,6 +20,7 @@ from followthrough.blender import (
     BakeReport,
     FrameRange,
     ObjectSettings,
+    groups,
     read_paint,
     read_surface,
     write_group,
@@ -27,6 +28,7 @@ from followthrough.blender import (
 from followthrough.blender.rig_reading import make_reader
 from followthrough.blender.scene import require_bakeable
 from followthrough.blender.shape_keys import our_names, read_points
+from followthrough.character import Paint, Surface, flesh_thickness
 from followthrough.emulator_weights import EmulatorWeights, TrainedOn
 from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings, VolumeSettings
@@ -197,6 +199,28 @@ def weights(tmp_path: Path) -> Path:
     path = tmp_path / "network.npz"
     EmulatorWeights(random_parameters(0, **SMALL_NETWORK), TrainedOn(stiffness_range=(0.01, 150.0))).save(path)
     return path
+
+
+def paint_by_depth(surface: Surface) -> Paint:
+    """Skin near a bone is pinned, and softer the farther it is from one."""
+    thickness = flesh_thickness(surface)
+    if surface.rig is None or thickness <= 0:
+        neutral = np.full(len(surface.rest_positions), 0.5)
+        return Paint(stiffness=neutral, mass=neutral.copy(), pins=np.zeros(len(neutral)))
+    depth = surface.bone_distances / thickness
+    fade = np.clip((0.6 - depth) / 0.25, 0.0, 1.0)
+    return Paint(
+        stiffness=np.clip(1.25 - depth, 0.0, 1.0),
+        mass=np.full(len(depth), 0.5),
+        pins=fade * fade * (3.0 - 2.0 * fade),
+    )
+
+
+@pytest.fixture(autouse=True)
+def known_paint(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is suggested: what is tested here of baking needs a motion that is known. What is suggested has tests of its own."""
+    if not request.module.__name__.endswith("test_groups"):
+        monkeypatch.setattr(groups, "suggest_paint", paint_by_depth)
 
 
 @pytest.fixture

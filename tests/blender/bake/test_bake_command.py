@@ -302,7 +302,8 @@ def test_interrupted_it_leaves_nothing_behind(character, tmp_path, monkeypatch, 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.blend", "out.blend"]
 
 
-def test_killed_the_same_command_goes_on(character, tmp_path, capfd):
+def test_killed_the_same_command_goes_on(character, tmp_path, capfd, monkeypatch):
+    monkeypatch.undo()  # the same paint as in the other process
     source, target, whole = save(tmp_path / "in.blend"), tmp_path / "out.blend", tmp_path / "whole.blend"
     options = ["--start", "1", "--end", "400", "--solver", "implicit-euler", *QUICK]
     program = tmp_path / "program.py"  # stands still after the second time that it has saved
