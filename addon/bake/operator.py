@@ -13,6 +13,7 @@ from followthrough.blender import BakeReport, ObjectSettings, why_not_bakeable
 from ..characters import selected_characters
 from ..preview import live
 from ..properties.bake_settings import frame_range, object_settings
+from ..redraw import redraw_sidebars
 from .session import BakeSession, idle, running
 
 _NONE_SELECTED = "Add Followthrough to a mesh first"
@@ -74,7 +75,7 @@ class StepwiseOperator:
         self._timer = manager.event_timer_add(0.01, window=context.window)
         manager.modal_handler_add(self)
         context.workspace.status_text_set(f"{self.doing}    Esc: Cancel")
-        _redraw_sidebars(context)
+        redraw_sidebars()
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -104,7 +105,7 @@ class StepwiseOperator:
             if not bake.is_simulated:
                 bake.advance(self._time_slice())
                 self._slice_ended = time.monotonic()
-                _redraw_sidebars(context)
+                redraw_sidebars()
                 return {"RUNNING_MODAL"}
             report = bake.finish()
         except ValueError as error:
@@ -129,7 +130,7 @@ class StepwiseOperator:
             self._timer = None
         if context.workspace is not None:
             context.workspace.status_text_set(None)
-        _redraw_sidebars(context)
+        redraw_sidebars()
 
     @classmethod
     def _why_not(cls, character: bpy.types.Object) -> str | None:
@@ -177,10 +178,3 @@ class FOLLOWTHROUGH_OT_bake(StepwiseOperator, Operator):
         for baked in report.objects:
             for warning in baked.warnings:
                 self.report({"WARNING"}, warning)
-
-
-def _redraw_sidebars(context: bpy.types.Context) -> None:
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()

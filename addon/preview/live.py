@@ -2,7 +2,7 @@
 """The preview that is running, if one is: it follows the timeline, and leaves no trace in files, undo steps and renders."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import bpy
@@ -11,6 +11,7 @@ from bpy.app.handlers import persistent
 from followthrough.blender import ObjectSettings, Preview, remove_left_over
 
 from ..properties.bake_settings import object_settings
+from ..redraw import redraw_sidebars
 
 #: Seconds after which the panel shows new figures.
 _FIGURES = 0.5
@@ -60,7 +61,7 @@ def end(reason: str = "") -> None:
     _forget_handler()
     if ended is not None:
         ended.end()
-        _redraw()
+        redraw_sidebars()
 
 
 def figures(preview: Preview) -> str:
@@ -83,7 +84,7 @@ def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None
         return
     if time.monotonic() > _drawn + _FIGURES:
         _drawn = time.monotonic()
-        _redraw()
+        redraw_sidebars()
 
 
 def _settings(preview: Preview, scene: bpy.types.Scene) -> dict[str, ObjectSettings]:
@@ -97,38 +98,15 @@ def _forget_handler() -> None:
         handlers.remove(_follow)
 
 
-def _redraw() -> None:
-    manager = bpy.context.window_manager
-    for window in manager.windows if manager is not None else ():
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+def _tells(act: Callable[[Preview], None]) -> Callable[..., None]:
+    """A handler that lets the preview that is running do something."""
 
+    @persistent
+    def handler(*_: Any) -> None:
+        if _running is not None:
+            act(_running)
 
-@persistent
-def _rest(*_: Any) -> None:
-    """Files are saved without the preview."""
-    if _running is not None:
-        _running.sleep()
-
-
-@persistent
-def _go_on(*_: Any) -> None:
-    if _running is not None:
-        _running.wake()
-
-
-@persistent
-def _pause(*_: Any) -> None:
-    """Pictures are rendered without the preview."""
-    if _running is not None:
-        _running.pause()
-
-
-@persistent
-def _unpause(*_: Any) -> None:
-    if _running is not None:
-        _running.unpause()
+    return handler
 
 
 @persistent
@@ -146,14 +124,14 @@ def _clean(*_: Any) -> None:
         remove_left_over()
 
 
-#: Handlers that are there as long as the add-on is, by the name of their list.
+#: Handlers that are there as long as the add-on is, by the name of their list. Files are saved and pictures rendered without the preview.
 _HANDLERS = {
-    "save_pre": _rest,
-    "save_post": _go_on,
-    "save_post_fail": _go_on,
-    "render_init": _pause,
-    "render_complete": _unpause,
-    "render_cancel": _unpause,
+    "save_pre": _tells(Preview.sleep),
+    "save_post": _tells(Preview.wake),
+    "save_post_fail": _tells(Preview.wake),
+    "render_init": _tells(Preview.pause),
+    "render_complete": _tells(Preview.unpause),
+    "render_cancel": _tells(Preview.unpause),
     "load_pre": _leave_file,
     "load_post": _clean,
     "undo_post": _clean,

@@ -62,8 +62,4 @@ class FOLLOWTHROUGH_OT_preview(Operator):
 
 def _loop(obj: bpy.types.Object, scene: bpy.types.Scene) -> tuple[int, int] | None:
     """First and last frame where the character's frames are a cycle."""
-    if not obj.followthrough.use_loop:
-        return None
-    frames = frame_range(obj)
-    start = scene.frame_start if frames.start is None else frames.start
-    return start, scene.frame_end if frames.end is None else frames.end
+    return frame_range(obj).ends_in(scene) if obj.followthrough.use_loop else None

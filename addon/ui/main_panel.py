@@ -90,8 +90,7 @@ def draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     except ValueError as problem:
         draw_text(layout, context, str(problem), icon="ERROR")
         return
-    start = scene.frame_start if frames.start is None else frames.start
-    end = scene.frame_end if frames.end is None else frames.end
+    start, end = frames.ends_in(scene)
     draw_preview(layout, context)
     draw_cautions(layout, context, characters)
     text = f"Bake {end - start + 1} Frames"

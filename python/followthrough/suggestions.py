@@ -42,15 +42,13 @@ _ROUNDS = 2
 _SMOOTHING = 3
 
 
-def suggest_paint(surface: Surface, simulation: SimulationSettings | None = None) -> Paint:
+def suggest_paint(surface: Surface) -> Paint:
     """Suggested stiffness, mass and pins of a character ([ZS] 3.1 for the pins).
 
     Parameters
     ----------
     surface
         The character at rest. Without an armature nothing is pinned, and everything is of medium stiffness.
-    simulation
-        The flesh that painted values stand for; None: as it comes.
     """
     count = len(surface.rest_positions)
     neutral = np.full(count, 0.5)
@@ -62,11 +60,11 @@ def suggest_paint(surface: Surface, simulation: SimulationSettings | None = None
     if (volume.pinned | loose_vertices(volume)).all():
         return paint
     stiffness, pins = mesh.interpolate(
-        np.column_stack([*_tuned(volume, simulation or SimulationSettings()), volume.mass]),
+        np.column_stack(_tuned(volume, SimulationSettings())),
         volume.tet_mesh.tets,
         volume.tet_mesh.embedding_tets,
         volume.tet_mesh.embedding_weights,
-    ).T[:2]
+    ).T
     return Paint(
         stiffness=np.clip(stiffness, 0.0, 1.0),
         mass=neutral.copy(),
@@ -109,12 +107,12 @@ def _tuned(volume: Volume, simulation: SimulationSettings) -> tuple[FloatArray, 
     low, high = simulation.youngs_modulus_range
     wanted = (2.0 * math.pi * FREQUENCY) ** 2
     stiffness, pins = volume.stiffness, volume.pins
-    for first in (True, *(_ROUNDS - 1) * (False,)):
+    for turn in range(_ROUNDS):
         given, flesh = _measured(volume, stiffness, pins, simulation)
         free = ~flesh.constrained
         peaks = neighbours.peaks(given, free)
         change = np.log(wanted * peaks / SAG_FACTOR) / math.log(high / low)
-        if first:
+        if turn == 0:
             change += ROOT_STIFFNESS * (1.0 - np.sqrt(given / peaks))
         stiffness = np.where(free, np.clip(stiffness + change, SOFTEST, STIFFEST), STIFFEST)
         stiffness = neighbours.smoothed(stiffness)

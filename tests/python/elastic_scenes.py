@@ -8,6 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from followthrough.elastic import ElasticBody, ImplicitEuler
+from followthrough.sequences import Sequence
+from followthrough.simulation import simulate
+
 Array = NDArray[np.float64]
 DT = math.sqrt(0.001)
 CUBE = (
@@ -29,6 +33,22 @@ def bar(nx: int, ny: int, nz: int, edge: float = 0.2) -> tuple[Array, NDArray[np
             corners = np.array([[int(c) for c in corner] for corner in tet.split()]) + cell
             tets.append(corners @ [(ny + 1) * (nz + 1), nz + 1, 1])
     return rest, np.array(tets, dtype=np.int32)
+
+
+def swinging_bar(modulus: float, phase: float, frames: int = 60) -> Sequence:
+    """Three cubes that swing at one end, with their true motion."""
+    rest, tets = bar(3, 1, 1)
+    t = np.arange(frames)
+    swing = np.stack([0 * t, 0.1 * np.sin(0.5 * t + phase), 0.05 * np.sin(0.3 * t)], axis=1)
+    sequence = Sequence(
+        rest_positions=rest,
+        tets=tets,
+        constrained=rest[:, 0] < 0.1,
+        youngs_modulus=np.full(len(rest), modulus),
+        dt=DT,
+        reference=rest + swing[:, None],
+    )
+    return simulate(sequence, ImplicitEuler(ElasticBody.of_sequence(sequence), sequence.constrained, sequence.dt))
 
 
 def random_rotation(random: np.random.Generator) -> Array:

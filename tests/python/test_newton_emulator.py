@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Newton passes that small networks guide: what training sees, their weights files, and the commands that take them."""
 
-import itertools
 import json
 import math
 import sys
@@ -22,9 +21,9 @@ from followthrough.sequences import Sequence
 from followthrough.simulation import simulate
 
 sys.path.insert(0, str(Path(__file__).parent))
+from elastic_scenes import bar
 from plain_network import guided_step, random_newton_parameters, random_parameters
 
-CUBE = ((0, 4, 2, 1), (4, 2, 1, 5), (2, 1, 5, 3), (4, 6, 2, 5), (6, 5, 7, 3), (6, 2, 5, 3))  # bits of a corner: x y z
 FRAMES = 20
 SCHEDULE = NewtonSchedule((4, 8), most_passes=3, tolerance=0.0)
 
@@ -32,14 +31,13 @@ SCHEDULE = NewtonSchedule((4, 8), most_passes=3, tolerance=0.0)
 @pytest.fixture(scope="module")
 def sequence() -> Sequence:
     """A bar of four cubes on its side, swung and turned at one end."""
-    rest = np.array(list(itertools.product(range(5), range(2), range(2))), dtype=float) * 0.2
-    tets = [[4 * x + corner for corner in tet] for x in range(4) for tet in CUBE]
+    rest, tets = bar(4, 1, 1)
     angle = 0.4 * np.sin(0.4 * np.arange(FRAMES))
     cosine, sine, zero, one = np.cos(angle), np.sin(angle), 0 * angle, 0 * angle + 1
     turn = np.array([[cosine, -sine, zero], [sine, cosine, zero], [zero, zero, one]])
     return Sequence(
         rest_positions=rest,
-        tets=np.array(tets, dtype=np.int32),
+        tets=tets,
         constrained=rest[:, 0] < 0.1,
         youngs_modulus=np.linspace(5e4, 2e5, len(rest)),
         dt=math.sqrt(0.001),

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The network in PyTorch against the native one."""
 
-import itertools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from elastic_scenes import bar
 
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights, TrainedOn
@@ -17,7 +17,6 @@ from followthrough.simulation import simulate
 from followthrough.training.network import PatchNetwork, import_state_dict, load_weights, rollout, save_weights
 from followthrough.training.patches import PatchBatch, Scene
 
-CUBE = ((0, 4, 2, 1), (4, 2, 1, 5), (2, 1, 5, 3), (4, 6, 2, 5), (6, 5, 7, 3), (6, 2, 5, 3))  # bits of a corner: x y z
 CELLS = 3
 
 torch.set_num_threads(1)  # these networks are small: waiting for other threads costs more than they do
@@ -26,12 +25,7 @@ torch.set_num_threads(1)  # these networks are small: waiting for other threads 
 @pytest.fixture(scope="module")
 def sequence() -> Sequence:
     """A block of cubes that turns and swings for a hundred frames."""
-    side = CELLS + 1
-    rest = np.array(list(itertools.product(range(side), repeat=3)), dtype=float) * 0.2
-    tets = []
-    for x, y, z in itertools.product(range(CELLS), repeat=3):
-        for tet in CUBE:
-            tets.append([((x + (c >> 2)) * side + y + (c >> 1 & 1)) * side + z + (c & 1) for c in tet])
+    rest, tets = bar(CELLS, CELLS, CELLS)
     reference = []
     for t in range(101):
         angle = 0.5 * math.sin(0.2 * t)
@@ -39,7 +33,7 @@ def sequence() -> Sequence:
         reference.append(rest @ turn.T + [0.3 * math.sin(0.15 * t), 0, 0.1 * math.sin(0.4 * t)])
     return Sequence(
         rest_positions=rest,
-        tets=np.array(tets, dtype=np.int32),
+        tets=tets,
         constrained=rest[:, 0] < 0.1,
         youngs_modulus=np.geomspace(5e4, 5e6, len(rest)),
         dt=math.sqrt(0.001),

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The guides of Newton steps: in PyTorch against the native ones, what they learn, and runs that are continued."""
 
-import itertools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -9,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from elastic_scenes import swinging_bar
 
 from followthrough import cli
-from followthrough.elastic import ElasticBody, ImplicitEuler
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights, TrainedOn
 from followthrough.evaluation import evaluate
@@ -25,27 +24,9 @@ from followthrough.training.newton_network import Frame, GuidedNewtonNetwork
 from followthrough.training.settings import NewtonSettings
 from followthrough.training.trainer import Trainer
 
-CUBE = ((0, 4, 2, 1), (4, 2, 1, 5), (2, 1, 5, 3), (4, 6, 2, 5), (6, 5, 7, 3), (6, 2, 5, 3))  # bits of a corner: x y z
 SMALL = {"iterations": (2, 3), "widths": (12, 8), "most_passes": 2, "tolerance": 0.0, "frames_a_step": 4}
 
 torch.set_num_threads(1)
-
-
-def bar(modulus: float, phase: float, frames: int = 60) -> Sequence:
-    """Three cubes that swing at one end, with their true motion."""
-    rest = np.array(list(itertools.product(range(4), range(2), range(2))), dtype=float) * 0.2
-    tets = [[4 * x + corner for corner in tet] for x in range(3) for tet in CUBE]
-    t = np.arange(frames)
-    swing = np.stack([0 * t, 0.1 * np.sin(0.5 * t + phase), 0.05 * np.sin(0.3 * t)], axis=1)
-    sequence = Sequence(
-        rest_positions=rest,
-        tets=np.array(tets, dtype=np.int32),
-        constrained=rest[:, 0] < 0.1,
-        youngs_modulus=np.full(len(rest), modulus),
-        dt=math.sqrt(0.001),
-        reference=rest + swing[:, None],
-    )
-    return simulate(sequence, ImplicitEuler(ElasticBody.of_sequence(sequence), sequence.constrained, sequence.dt))
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +34,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folders = []
     for k, modulus in enumerate((2e5, 5e5, 1e6)):
         folders.append(tmp_path_factory.mktemp("data"))
-        bar(modulus, 0.7 * k).save(folders[-1] / "bar.npz")
+        swinging_bar(modulus, 0.7 * k).save(folders[-1] / "bar.npz")
     return folders
 
 
@@ -100,7 +81,7 @@ def one_further(
 def test_every_frame_is_the_native_emulators(architecture: dict, repeats: int) -> None:
     torch.manual_seed(1)
     network = shaken(GuidedNewtonNetwork(**architecture, tolerance=0.0))
-    sequence = bar(4e5, 0.3, frames=101)
+    sequence = swinging_bar(4e5, 0.3, frames=101)
     scene, expected = NewtonPatches.of_sequence(sequence), native(network, sequence)
     for t in range(100):  # each from the native ones before: so few iterations multiply what rounding does
         result = one_further(network, scene, expected[: t + 1], sequence.reference, repeats)
@@ -113,7 +94,7 @@ def test_every_frame_is_the_native_emulators(architecture: dict, repeats: int) -
 def test_a_hundred_frames_agree_with_the_native_emulator() -> None:
     torch.manual_seed(1)
     network = shaken(GuidedNewtonNetwork(iterations=(30, 30), most_passes=3, tolerance=0.0), gain=0.02)
-    sequence = bar(4e5, 0.3, frames=101)
+    sequence = swinging_bar(4e5, 0.3, frames=101)
     scene, frames = NewtonPatches.of_sequence(sequence), sequence.reference[:1]
     for _ in range(100):
         frames = np.concatenate([frames, [one_further(network, scene, frames, sequence.reference, repeats=1)]])
@@ -187,7 +168,7 @@ def test_losses_are_those_of_the_steps_that_are_wanted(data: NewtonDataSet) -> N
 
 def test_guides_learn_and_their_weights_run(data: NewtonDataSet) -> None:
     settings = NewtonSettings(**SMALL, steps=400, learning_rate=5e-3, warmup_steps=20, average=0.98)
-    held_out = bar(7e5, 2.0)
+    held_out = swinging_bar(7e5, 2.0)
     trainer = Trainer(data, settings, TrainedOn(), [held_out])
     before = trainer.measure()
     while trainer.step < settings.steps:

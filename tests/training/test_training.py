@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Training runs on a small bar: what they learn, and that a killed one continues to the same end."""
 
-import itertools
 import json
 import math
 import signal
@@ -14,19 +13,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from elastic_scenes import swinging_bar
 
 from followthrough import cli
-from followthrough.elastic import ElasticBody, ImplicitEuler
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights, TrainedOn
 from followthrough.evaluation import evaluate
-from followthrough.sequences import Sequence
-from followthrough.simulation import simulate
 from followthrough.training.examples import DataSet
 from followthrough.training.settings import TrainingSettings
 from followthrough.training.trainer import Trainer
 
-CUBE = ((0, 4, 2, 1), (4, 2, 1, 5), (2, 1, 5, 3), (4, 6, 2, 5), (6, 5, 7, 3), (6, 2, 5, 3))  # bits of a corner: x y z
 SMALL = {
     "inertia": (16, 16, 16),
     "force": (24, 24, 24),
@@ -38,27 +34,11 @@ SMALL = {
 torch.set_num_threads(1)
 
 
-def bar(modulus: float, phase: float, frames: int = 60) -> Sequence:
-    rest = np.array(list(itertools.product(range(4), range(2), range(2))), dtype=float) * 0.2
-    tets = [[4 * x + corner for corner in tet] for x in range(3) for tet in CUBE]
-    t = np.arange(frames)
-    swing = np.stack([0 * t, 0.1 * np.sin(0.5 * t + phase), 0.05 * np.sin(0.3 * t)], axis=1)
-    sequence = Sequence(
-        rest_positions=rest,
-        tets=np.array(tets, dtype=np.int32),
-        constrained=rest[:, 0] < 0.1,
-        youngs_modulus=np.full(len(rest), modulus),
-        dt=math.sqrt(0.001),
-        reference=rest + swing[:, None],
-    )
-    return simulate(sequence, ImplicitEuler(ElasticBody.of_sequence(sequence), sequence.constrained, sequence.dt))
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data")
     for k, modulus in enumerate((2e5, 1e6)):
-        bar(modulus, 0.7 * k).save(folder / f"bar-{k}.npz")
+        swinging_bar(modulus, 0.7 * k).save(folder / f"bar-{k}.npz")
     return folder
 
 
@@ -69,7 +49,7 @@ def data(folder: Path) -> DataSet:
 
 def test_a_network_learns_and_its_weights_run(data: DataSet) -> None:
     settings = TrainingSettings(**SMALL, steps=600, learning_rate=3e-3, warmup_steps=20, average=0.98, noise=0.001)
-    held_out = bar(5e5, 2.0)
+    held_out = swinging_bar(5e5, 2.0)
     trainer = Trainer(data, settings, TrainedOn(), [held_out])
     before = trainer.measure()
     while trainer.step < settings.steps:

@@ -27,6 +27,8 @@ from followthrough.blender.rig_reading import make_reader, read_bare_surface, wi
 from followthrough.blender.scene import (
     Deformation,
     NotBakeableError,
+    evaluated_view_layer,
+    frame_time,
     require_bakeable,
     require_posed,
     require_visible,
@@ -83,6 +85,13 @@ class FrameRange:
         for name in ("preroll", "cycles"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name}: found {getattr(self, name)}, expected 0 or more")
+
+    def ends_in(self, scene: bpy.types.Scene) -> tuple[int, int]:
+        """First and last frame, of the scene where they are not given."""
+        return (
+            scene.frame_start if self.start is None else self.start,
+            scene.frame_end if self.end is None else self.end,
+        )
 
 
 @dataclass(frozen=True)
@@ -141,8 +150,7 @@ class Bake:
         objects = dict(sorted(objects.items()))  # a cache is the same in whatever order they were selected
         self._began = time.perf_counter()
         self._scene = scene.name
-        self.start = scene.frame_start if frames.start is None else frames.start
-        self.end = scene.frame_end if frames.end is None else frames.end
+        self.start, self.end = frames.ends_in(scene)
         if self.end < self.start:
             raise ValueError(f"frames: found start {self.start} and end {self.end}, expected at least one frame")
         if not objects:
@@ -155,7 +163,7 @@ class Bake:
             if settings.output == "pc2" and self._blend is None:
                 raise NotBakeableError("a point cache lies beside its .blend: save the file first")
             require_posed(bpy.data.objects[name])
-        self._dt = scene.render.fps_base / scene.render.fps
+        self._dt = frame_time(scene)
         self._frame = (scene.frame_current, scene.frame_subframe)
         self._restore: list[Callable[[], None]] = []
         self._modes: dict[str, str] = {}
@@ -523,11 +531,7 @@ class Bake:
             self._still.show()
 
     def _view_layer(self) -> bpy.types.ViewLayer:
-        scene = bpy.data.scenes[self._scene]
-        view_layer = bpy.context.view_layer if bpy.context.scene == scene else scene.view_layers[0]
-        if view_layer.depsgraph is None:
-            view_layer.update()
-        return view_layer
+        return evaluated_view_layer(bpy.data.scenes[self._scene])
 
     def _hide_earlier_bake(self, obj: bpy.types.Object) -> None:
         name, hidden = obj.name, hide_bake(obj)

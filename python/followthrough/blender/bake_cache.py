@@ -101,8 +101,7 @@ def cache_folder(blend: Path | None = None) -> Path:
 
 def plan_of(scene: bpy.types.Scene, objects: Mapping[str, ObjectSettings], frames: FrameRange) -> str:
     """Digest of what a bake is asked to do, the scene's frame rate included."""
-    start = scene.frame_start if frames.start is None else frames.start
-    end = scene.frame_end if frames.end is None else frames.end
+    start, end = frames.ends_in(scene)
     rate = (scene.render.fps, scene.render.fps_base)
     asked = (__version__, sorted(objects.items()), start, end, frames.preroll, frames.cycles, rate)
     return _digest([repr(asked).encode()])

@@ -8,6 +8,7 @@ import bpy
 from followthrough.blender.bake import ObjectSettings
 from followthrough.blender.groups import read_paint
 from followthrough.blender.rig_reading import read_surface
+from followthrough.blender.scene import frame_time
 from followthrough.blender.vertex_weights import read_weights
 from followthrough.emulated_flesh import caution
 
@@ -28,4 +29,4 @@ def caution_before_bake(obj: bpy.types.Object, settings: ObjectSettings, scene: 
     weights = read_weights(obj)
     surface = read_surface(obj, weights)
     paint = read_paint(obj, surface, settings.groups, weights)
-    return caution(surface, paint, settings.motion, scene.render.fps_base / scene.render.fps)
+    return caution(surface, paint, settings.motion, frame_time(scene))

@@ -21,6 +21,8 @@ from followthrough.blender.groups import read_paint
 from followthrough.blender.rig_reading import PoseReader, make_reader, read_bare_surface, with_skeleton
 from followthrough.blender.scene import (
     NotBakeableError,
+    evaluated_view_layer,
+    frame_time,
     require_bakeable,
     require_posed,
     require_visible,
@@ -28,7 +30,6 @@ from followthrough.blender.scene import (
 )
 from followthrough.blender.vertex_weights import read_weights
 from followthrough.character import BonePose, FloatArray, Paint, Pose, Surface
-from followthrough.mesh import TetMesh
 from followthrough.secondary_motion import SecondaryMotion
 
 #: So many frames may be left out, as playback does that keeps its pace; what they would have shown is simulated all the same.
@@ -93,13 +94,13 @@ class Preview:
         if not objects:
             raise NotBakeableError("there is no object to preview: choose a mesh that an armature moves")
         self._scene = scene.name
-        self._dt = scene.render.fps_base / scene.render.fps
+        self._dt = frame_time(scene)
         self._loop = loop
         self._frame: int | None = None
         self._asleep = False
         self._shown_at: float | None = None
         self.milliseconds = self.frames_per_second = 0.0
-        view_layer = _view_layer(scene)
+        view_layer = evaluated_view_layer(scene)
         for name in objects:
             require_visible(name, scene, view_layer)
             _require_previewable(bpy.data.objects[name])
@@ -144,7 +145,7 @@ class Preview:
         self._dt_of(scene)
         if frame == self._frame and not changed:
             return
-        poses = self._read_poses(_view_layer(scene))
+        poses = self._read_poses(evaluated_view_layer(scene))
         steps = 0 if changed or self._frame is None else self._steps_to(frame, poses)
         for character, pose in zip(self._characters, poses, strict=True):
             if steps is None:  # the end of a loop, which is its start
@@ -217,10 +218,10 @@ class Preview:
         assert frame.offsets is not None  # of a rig, as it is required to be
         character.offsets = frame.offsets
 
-    def _make_motion(self, character: _Character) -> None:
-        character.motion = SecondaryMotion(
-            character.surface, character.paint, character.settings.motion, self._dt, _same_tets(character)
-        )
+    def _make_motion(self, character: _Character, same_volume: bool = True) -> None:
+        tets = character.motion.volume.tet_mesh if same_volume else None
+        motion = character.settings.motion
+        character.motion = SecondaryMotion(character.surface, character.paint, motion, self._dt, tets)
 
     def _steps_to(self, frame: int, poses: list[Pose]) -> int | None:
         """How many steps lead to a frame; 0: it begins anew, None: nothing moves."""
@@ -252,16 +253,15 @@ class Preview:
             if now is None:
                 raise NotBakeableError(f"Object '{character.name}' has no Followthrough any more")
             if now != character.settings:
-                volume = now.motion.volume == character.settings.motion.volume
+                same_volume = now.motion.volume == character.settings.motion.volume
                 character.settings, changed = now, True
                 character.paint = read_paint(bpy.data.objects[character.name], character.surface, now.groups)
-                tets = _same_tets(character) if volume else None
-                character.motion = SecondaryMotion(character.surface, character.paint, now.motion, self._dt, tets)
+                self._make_motion(character, same_volume)
         return changed
 
     def _dt_of(self, scene: bpy.types.Scene) -> None:
-        if self._dt != scene.render.fps_base / scene.render.fps:
-            self._dt = scene.render.fps_base / scene.render.fps
+        if self._dt != frame_time(scene):
+            self._dt = frame_time(scene)
             self._frame = None
             for character in self._characters:
                 self._make_motion(character)
@@ -343,14 +343,3 @@ def _same_paint(first: Paint, second: Paint) -> bool:
         return before is after
     names = ("stiffness", "damping", "painted_stiffness")
     return all(np.array_equal(getattr(before, name), getattr(after, name)) for name in names)
-
-
-def _same_tets(character: _Character) -> TetMesh:
-    return character.motion.volume.tet_mesh
-
-
-def _view_layer(scene: bpy.types.Scene) -> bpy.types.ViewLayer:
-    view_layer = bpy.context.view_layer if bpy.context.scene == scene else scene.view_layers[0]
-    if view_layer.depsgraph is None:
-        view_layer.update()
-    return view_layer

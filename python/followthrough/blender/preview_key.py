@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from followthrough.blender.earlier_bake import HiddenBake, hide_bake, show_bake
 from followthrough.blender.modes import object_mode
-from followthrough.blender.shape_keys import PREVIEW, read_points, same_active_key
+from followthrough.blender.shape_keys import (
+    PREVIEW,
+    add_passing_key,
+    read_points,
+    remove_passing_key,
+    same_active_key,
+    show_points,
+)
 from followthrough.character import FloatArray
 
 NAME = "Followthrough Preview"
@@ -33,17 +40,10 @@ def put(obj: bpy.types.Object) -> NDArray[np.float32]:
     remove(obj)
     with object_mode(obj.name), same_active_key(obj):
         hidden = hide_bake(obj)
-        made_basis = obj.data.shape_keys is None
-        if made_basis:
-            obj.shape_key_add(name="Basis", from_mix=False)
+        name, made_basis = add_passing_key(obj, NAME)
         key = obj.data.shape_keys
-        block = obj.shape_key_add(name=NAME, from_mix=False)
-        block.relative_key = key.reference_key
-        block.value = 1.0
-        basis = read_points(key.reference_key)
-        block.points.foreach_set("co", basis.ravel())
-        key[PREVIEW] = json.dumps({"name": block.name, "made_basis": made_basis, "hidden": dataclasses.asdict(hidden)})
-    return basis
+        key[PREVIEW] = json.dumps({"name": name, "made_basis": made_basis, "hidden": dataclasses.asdict(hidden)})
+    return read_points(key.reference_key)
 
 
 def is_on(obj: bpy.types.Object) -> bool:
@@ -54,10 +54,7 @@ def is_on(obj: bpy.types.Object) -> bool:
 
 def show(obj: bpy.types.Object, basis: NDArray[np.float32], offsets: FloatArray) -> None:
     """Let the key add these offsets (v, 3), object space, to its Basis (v, 3)."""
-    key, block = obj.data.shape_keys, _block(obj)
-    block.points.foreach_set("co", np.add(basis, offsets, dtype=np.float32, casting="same_kind").ravel())
-    key.update_tag()
-    obj.data.update_tag()
+    show_points(obj.data, _block(obj).name, np.add(basis, offsets, dtype=np.float32, casting="same_kind"))
 
 
 def pause(obj: bpy.types.Object) -> None:
@@ -88,10 +85,7 @@ def remove(obj: bpy.types.Object) -> bool:
     record = json.loads(key[PREVIEW])
     with object_mode(obj.name), same_active_key(obj):
         del key[PREVIEW]
-        if record["name"] in key.key_blocks:
-            obj.shape_key_remove(key.key_blocks[record["name"]])
-        if record["made_basis"] and len(key.key_blocks) == 1:
-            obj.shape_key_remove(key.key_blocks[0])
+        remove_passing_key(obj, record["name"], record["made_basis"])
         show_bake(obj.name, _hidden(record))
         obj.data.update_tag()
     return True

@@ -126,6 +126,19 @@ def action_frames(obj: bpy.types.Object, scene: bpy.types.Scene) -> tuple[int, i
     return None if times is None else scene_frames(times, scene)
 
 
+def frame_time(scene: bpy.types.Scene) -> float:
+    """From one frame to the next, s."""
+    return float(scene.render.fps_base / scene.render.fps)
+
+
+def evaluated_view_layer(scene: bpy.types.Scene) -> bpy.types.ViewLayer:
+    """The view layer that is open where the scene is, else its first one, with a dependency graph."""
+    view_layer = bpy.context.view_layer if bpy.context.scene == scene else scene.view_layers[0]
+    if view_layer.depsgraph is None:
+        view_layer.update()
+    return view_layer
+
+
 def require_posed(obj: bpy.types.Object) -> None:
     """Check that the armatures show their pose.
 

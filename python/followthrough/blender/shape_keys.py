@@ -156,25 +156,18 @@ class TrialKey:
         self._object = name
         obj = bpy.data.objects[name]
         with same_active_key(obj):
-            self._made_basis = obj.data.shape_keys is None
-            if self._made_basis:
-                obj.shape_key_add(name="Basis", from_mix=False)
-            key = obj.data.shape_keys
-            block = obj.shape_key_add(name="Followthrough Trial", from_mix=False)
-            block.relative_key = key.reference_key
-            block.value = 1.0
-            self._name = block.name
-            self._basis = read_points(key.reference_key)
+            self._name, self._made_basis = add_passing_key(obj, "Followthrough Trial")
+        self._basis = read_points(obj.data.shape_keys.reference_key)
 
     def show(self, offsets: NDArray[np.float64]) -> None:
         """Add these offsets (v, 3), object space, to what the other shape keys show."""
-        self._write(bpy.data.objects[self._object].data, self._basis + offsets.astype(np.float32))
+        show_points(bpy.data.objects[self._object].data, self._name, self._basis + offsets.astype(np.float32))
 
     def hide(self) -> None:
         """Add nothing again."""
         obj = bpy.data.objects.get(self._object)
         if obj is not None and self._is_on(obj.data):
-            self._write(obj.data, self._basis)
+            show_points(obj.data, self._name, self._basis)
 
     def remove(self) -> None:
         """Take the key away, and the Basis where it was made for it."""
@@ -182,18 +175,37 @@ class TrialKey:
         if obj is None or not self._is_on(obj.data):
             return
         with object_mode(obj.name), same_active_key(obj):
-            key = obj.data.shape_keys
-            obj.shape_key_remove(key.key_blocks[self._name])
-            if self._made_basis and len(key.key_blocks) == 1:
-                obj.shape_key_remove(key.key_blocks[0])
+            remove_passing_key(obj, self._name, self._made_basis)
 
     def _is_on(self, mesh: bpy.types.Mesh) -> bool:
         return mesh.shape_keys is not None and self._name in mesh.shape_keys.key_blocks
 
-    def _write(self, mesh: bpy.types.Mesh, points: NDArray[np.float32]) -> None:
-        mesh.shape_keys.key_blocks[self._name].points.foreach_set("co", points.ravel())
-        mesh.shape_keys.update_tag()
-        mesh.update_tag()
+
+def add_passing_key(obj: bpy.types.Object, name: str) -> tuple[str, bool]:
+    """Give a mesh one more key, which shows the Basis at first; its name, and whether the Basis had to be made for it."""
+    made_basis = obj.data.shape_keys is None
+    if made_basis:
+        obj.shape_key_add(name="Basis", from_mix=False)
+    block = obj.shape_key_add(name=name, from_mix=False)
+    block.relative_key = obj.data.shape_keys.reference_key
+    block.value = 1.0
+    return block.name, made_basis
+
+
+def remove_passing_key(obj: bpy.types.Object, name: str, made_basis: bool) -> None:
+    """Take it away where it is there, and the Basis where that was made for it and nothing else needs it."""
+    key = obj.data.shape_keys
+    if name in key.key_blocks:
+        obj.shape_key_remove(key.key_blocks[name])
+    if made_basis and len(key.key_blocks) == 1:
+        obj.shape_key_remove(key.key_blocks[0])
+
+
+def show_points(mesh: bpy.types.Mesh, name: str, points: NDArray[np.float32]) -> None:
+    """Move a key's points, (v, 3)."""
+    mesh.shape_keys.key_blocks[name].points.foreach_set("co", points.ravel())
+    mesh.shape_keys.update_tag()
+    mesh.update_tag()
 
 
 def read_points(block: bpy.types.ShapeKey) -> NDArray[np.float32]:

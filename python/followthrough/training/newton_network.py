@@ -86,10 +86,10 @@ class GuidedNewtonNetwork(nn.Module):
     def __init__(
         self,
         *,
-        iterations: Sequence[int] = (32, 32),
+        iterations: Sequence[int] = NewtonSchedule.iterations,
         widths: Sequence[int] = (24, 24),
-        most_passes: int = 8,
-        tolerance: float = 1e-3,
+        most_passes: int = NewtonSchedule.most_passes,
+        tolerance: float = NewtonSchedule.tolerance,
     ) -> None:
         super().__init__()
         self.schedule = NewtonSchedule(tuple(iterations), most_passes, tolerance)

@@ -190,10 +190,10 @@ class NewtonSettings(LearningSettings):
     warmup_steps: int = 100
     weight_decay: float = 1e-5
     average: float = 0.998
-    iterations: tuple[int, ...] = (32, 32)
+    iterations: tuple[int, ...] = NewtonSchedule.iterations
     widths: tuple[int, ...] = (24, 24)
-    most_passes: int = 8
-    tolerance: float = 1e-3
+    most_passes: int = NewtonSchedule.most_passes
+    tolerance: float = NewtonSchedule.tolerance
     repeats: int = 1
     evenness: float = 0.75
 

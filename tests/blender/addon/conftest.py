@@ -108,6 +108,29 @@ def select(*objects: bpy.types.Object) -> None:
     bpy.context.view_layer.objects.active = objects[0]
 
 
+def link_into_new_file(addon: ModuleType, obj: bpy.types.Object, folder: Path) -> list[bpy.types.Object]:
+    """The object and its armature in a new file, linked from a library, in no collection yet; the names stay."""
+    library, names = str(folder / "library.blend"), [obj.name, obj.parent.name]
+    bpy.data.libraries.write(library, {obj})
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    addon.unregister()
+    addon.register()
+    with bpy.data.libraries.load(library, link=True) as (_there, here):
+        here.objects = names
+    return list(here.objects)
+
+
+def make_local(objects: list[bpy.types.Object]) -> bpy.types.Object:
+    """Put linked objects into the scene and make them, not their data, local; the first of them, active."""
+    name = objects[0].name
+    for obj in objects:
+        bpy.context.scene.collection.objects.link(obj)
+        obj.select_set(True)
+    bpy.ops.object.make_local(type="SELECT_OBJECT")
+    bpy.context.view_layer.objects.active = bpy.data.objects[name]
+    return bpy.data.objects[name]
+
+
 @pytest.fixture
 def character() -> bpy.types.Object:
     return make_character()

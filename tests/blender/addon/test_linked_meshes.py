@@ -11,6 +11,8 @@ import pytest
 
 from followthrough.blender import has_learned
 
+from .conftest import link_into_new_file, make_local
+
 OPERATORS = {
     "heat map": ("show_heat_map", {"quantity": "stiffness"}),
     "forget": ("forget_learned", {}),
@@ -24,30 +26,21 @@ OPERATORS = {
 def linked(addon: ModuleType, obj: bpy.types.Object, folder: Path, override: bool) -> bpy.types.Object:
     """A character that has learned, in a new file: a local object with its linked mesh, or overrides of both."""
     assert bpy.ops.followthrough.learn() == {"FINISHED"}
-    library, name, armature = str(folder / "library.blend"), obj.name, obj.parent.name
-    bpy.data.libraries.write(library, {obj})
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    addon.unregister()
-    addon.register()
-    with bpy.data.libraries.load(library, link=True) as (_there, here):
-        here.objects = [name, armature]
+    objects = link_into_new_file(addon, obj, folder)
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end = 1, 12
-    if override:
-        found = next(o for o in here.objects if o.name == name).override_create(remap_local_usages=True)
-        found.data.override_create(remap_local_usages=True)
-        objects = [found, *(o for o in here.objects if o.name == armature)]
-    else:
-        objects = list(here.objects)
-    for other in objects:
-        scene.collection.objects.link(other)
-        other.select_set(True)
     if not override:
-        bpy.ops.object.make_local(type="SELECT_OBJECT")
-        objects = [bpy.data.objects[name]]
-    bpy.context.view_layer.objects.active = objects[0]
-    objects[0].followthrough.is_added = True
-    return objects[0]
+        here = make_local(objects)
+    else:
+        character, armature = objects
+        here = character.override_create(remap_local_usages=True)
+        here.data.override_create(remap_local_usages=True)
+        for other in (here, armature):
+            scene.collection.objects.link(other)
+            other.select_set(True)
+        bpy.context.view_layer.objects.active = here
+    here.followthrough.is_added = True
+    return here
 
 
 def contents(obj: bpy.types.Object) -> tuple[object, ...]:
