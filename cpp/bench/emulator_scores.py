@@ -85,7 +85,14 @@ def simulation(quality: str) -> Maker:
     )
 
 
-def methods(weights: EmulatorWeights, others: list[Path]) -> dict[str, Maker]:
+def with_iterations(weights: EmulatorWeights, iterations: int) -> Maker:
+    """An emulator with so many iterations of conjugate gradients a pass."""
+    assert weights.newton is not None
+    every = (iterations,) * len(weights.newton.iterations)
+    return emulator(replace(weights, newton=replace(weights.newton, iterations=every)))
+
+
+def methods(weights: EmulatorWeights, others: list[Path], iterations: list[int]) -> dict[str, Maker]:
     """What is compared, by name."""
     found: dict[str, Maker] = {
         "reference only": lambda sequence: SkinningAlone(),
@@ -96,6 +103,9 @@ def methods(weights: EmulatorWeights, others: list[Path]) -> dict[str, Maker]:
         for passes in range(4):
             found[f"guides, {passes} passes"] = emulator(weights, passes, 0.0)
             found[f"no guides, {passes} passes"] = emulator(plain, passes, 0.0)
+        for count in iterations:
+            found[f"guides, {count} iterations"] = with_iterations(weights, count)
+            found[f"no guides, {count} iterations"] = with_iterations(plain, count)
         found["no guides, as shipped"] = emulator(plain)
     found["as shipped"] = emulator(weights)
     for path in others:
@@ -113,11 +123,12 @@ def main() -> None:
     parser.add_argument(
         "--other", type=Path, nargs="*", default=[], help="more weights files, for example the paper's network"
     )
+    parser.add_argument("--iterations", type=int, nargs="*", default=[], help="a pass, to compare beside its own")
     parser.add_argument("--pattern", default="*.npz")
     parser.add_argument("--frames", type=int)
     arguments = parser.parse_args()
     weights = EmulatorWeights.shipped() if arguments.weights is None else EmulatorWeights.load(arguments.weights)
-    compared = methods(weights, arguments.other)
+    compared = methods(weights, arguments.other, arguments.iterations)
     scores: dict[str, list[tuple[Scores, float]]] = {name: [] for name in compared}
     for path in sorted(arguments.folder.glob(arguments.pattern)):
         sequence = Sequence.load(path)
