@@ -24,6 +24,7 @@ struct NewtonTets {
   const float* materials;       ///< (groups, 4, 16) volume, mu, lambda, compression resistance
   const double* positions;      ///< (rows, 3)
   float* shares;                ///< out: (tets, 96)
+  float* energies;              ///< out: (groups, 16)
   void (*raise_stretches)(float* deformation_gradient) noexcept;  ///< of an F, row by row, that may have small ones
 };
 
@@ -58,7 +59,7 @@ struct NewtonRows {
 
 /// Sums over a block of groups, lane by lane.
 struct LaneSums {
-  float sums[2][kNewtonGroup];
+  float sums[3][kNewtonGroup];
 };
 
 /// Floats of a record: vectors of a row, one after the other, whose means over its neighbours are wanted.

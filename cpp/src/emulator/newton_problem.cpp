@@ -224,6 +224,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   gradients = floats(9 * tet_slots);
   materials = floats(4 * tet_slots);
   shares = floats(tet_slots * kTetShare + kNewtonGroup);
+  energies = floats(tet_slots);
   struct Pair {
     std::int32_t row, other, share;
     double mass;
@@ -395,6 +396,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   tet_frame.materials = materials.data();
   tet_frame.positions = positions.data();
   tet_frame.shares = shares.data();
+  tet_frame.energies = energies.data();
   tet_frame.raise_stretches = &raise_stretches;
   row_frame = {padded,
                tet_starts.data(),
@@ -525,6 +527,8 @@ double NewtonProblem::assemble() {
   }
   std::copy_n(preconditioned.data(), 3 * size(padded), first.data());
   residual_square = sum(0);
+  energy = sum(2);
+  for (std::int32_t tet = 0; tet < tet_groups * kNewtonGroup; ++tet) energy += static_cast<double>(energies.data()[tet]);
   evaluated = true;
   return free_count ? std::sqrt(sum(1) / (3.0 * free_count)) : 0.0;
 }
@@ -534,6 +538,7 @@ void NewtonProblem::solve(int iterations) {
   const auto row_blocks = static_cast<std::int32_t>(sums.size());
   const double enough = solver_tolerance * solver_tolerance * residual_square;
   double square = residual_square;
+  slope = 0;
   const int threads = worthwhile_threads(groups, 200.0);
   for (int k = 0; k < iterations && square > enough && square > 0.0; ++k) {
 #pragma omp parallel for schedule(static) num_threads(threads)
@@ -542,10 +547,14 @@ void NewtonProblem::solve(int iterations) {
     }
     const double curvature = sum(0);
     if (!(curvature > 0.0)) {
-      if (k == 0) std::copy_n(directions.data(), 3 * size(padded), solution.data());
+      if (k == 0) {
+        std::copy_n(directions.data(), 3 * size(padded), solution.data());
+        slope = -square;
+      }
       break;
     }
     const auto length = static_cast<float>(square / curvature);
+    slope -= square / curvature * square;
 #pragma omp parallel for schedule(static) num_threads(threads)
     for (std::int32_t block = 0; block < row_blocks; ++block) {
       kernel.advance_rows(row_frame, length, block * block_groups, std::min((block + 1) * block_groups, groups),
@@ -634,10 +643,18 @@ void NewtonProblem::save() {
   std::copy_n(solution.data(), 3 * size(padded), saved_solution.data());
 }
 
-void NewtonProblem::go_back_and_move_along_direction() {
+void NewtonProblem::go_back_and_move(double share) {
   std::copy_n(saved.begin(), saved.size(), positions.begin());
-  std::copy_n(saved_solution.data(), 3 * size(padded), solution.data());
+  for (std::size_t k = 0; k < 3 * size(padded); ++k) solution.data()[k] = static_cast<float>(share) * saved_solution.data()[k];
   move_along_direction();
+}
+
+double NewtonProblem::slope_along_saved() const {
+  double sum = 0;
+  for (std::size_t k = 0; k < 3 * size(padded); ++k) {
+    sum -= static_cast<double>(residual.data()[k]) * static_cast<double>(saved_solution.data()[k]);
+  }
+  return sum;
 }
 
 bool NewtonProblem::finite() const {

@@ -25,8 +25,10 @@ struct NewtonProblem {
 
   /// The estimate starts on y.
   void begin(const NewtonHistory& history);
+  /// Evaluates the estimate: equations, residual, energy.
   /// @return root mean square of the first preconditioned residual
   double assemble();
+  /// Finds the direction; `slope` is that of the energy along it.
   void solve(int iterations);
   /// Brings `inputs` up to date for the guide of the start, or of a pass that has been solved.
   void describe_start();
@@ -34,9 +36,12 @@ struct NewtonProblem {
   /// @param step (3,padded); becomes m where it is a pass's
   void move(const float* step, bool of_pass);
   void move_along_direction();
-  /// Back to the estimate of `save`; the direction of then is what it moves along.
+  /// Keeps the estimate and the direction.
   void save();
-  void go_back_and_move_along_direction();
+  /// Goes back to the estimate of `save`, and from there a share of the direction of then.
+  void go_back_and_move(double share);
+  /// Slope at the estimate of the energy along the direction of `save`.
+  double slope_along_saved() const;
   bool finite() const;
   void start_over();
   /// Positions of all vertices, m.
@@ -56,7 +61,7 @@ struct NewtonProblem {
   std::vector<std::int32_t> corners, tet_starts, tet_blocks, slot_starts, slot_columns, share_starts, share_blocks, border_starts,
       border_columns;
   std::vector<std::uint32_t> slot_turned;
-  AlignedFloats gradients, materials, shares, slot_masses, border_masses, masses, offsets, blocks, diagonal, inverse, residual,
+  AlignedFloats gradients, materials, shares, energies, slot_masses, border_masses, masses, offsets, blocks, diagonal, inverse, residual,
       preconditioned, directions, product, solution, first, saved_solution;
   // What guides are told, and what they say. Each vector is (3,padded), each number (padded,).
   AlignedFloats history, means, records, motion, log_squares, log_diagonals, inverse_squares, steps;
@@ -70,6 +75,7 @@ struct NewtonProblem {
   NewtonTets tet_frame{};
   NewtonRows row_frame{};
   double residual_square = 0;  // r . D^-1 r at the start of the conjugate gradients
+  double energy = 0, slope = 0;
   bool began = false, evaluated = false;
 
  private:

@@ -92,7 +92,7 @@ inline Triple add_inertia(const NewtonRows& rows, const std::int32_t* columns, c
 
 void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept {
   float lanes[kGroup][kGroup], columns[kGroup][kGroup];
-  for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = sums->sums[1][lane] = 0.0f;
+  for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = sums->sums[1][lane] = sums->sums[2][lane] = 0.0f;
   for (std::int64_t group = first_group; group < last_group; ++group) {
     assemble_blocks(rows, group);
     const std::int64_t row = group * kGroup;
@@ -110,20 +110,22 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
       const Symmetric inverse = inverse_of(d);
       store(rows.diagonal + group * 6 * kGroup + lane, d);
       store(rows.inverse + group * 6 * kGroup + lane, inverse);
-      Triple force =
-          fma_of(load_triple(rows.offsets + row + lane, rows.offset_stride), mass, load_triple(&columns[6][lane], kGroup));
-      force =
-          add_inertia(rows, rows.slot_columns, rows.slot_masses, rows.slot_starts[group], rows.slot_starts[group + 1], lane, force);
-      force = add_inertia(rows, rows.border_columns, rows.border_masses, rows.border_starts[group], rows.border_starts[group + 1],
-                          lane, force);
       const Real zero = real(0.0f);
-      const Triple residual{zero - force.x, zero - force.y, zero - force.z}, first = inverse * residual;
+      const Triple none{zero, zero, zero}, offset = load_triple(rows.offsets + row + lane, rows.offset_stride);
+      const Triple inertia = add_inertia(rows, rows.slot_columns, rows.slot_masses, rows.slot_starts[group],
+                                         rows.slot_starts[group + 1], lane, offset * mass);
+      const Triple border = add_inertia(rows, rows.border_columns, rows.border_masses, rows.border_starts[group],
+                                        rows.border_starts[group + 1], lane, none);
+      const Triple force = load_triple(&columns[6][lane], kGroup) + inertia + border;
+      const Triple residual = none - force, first = inverse * residual;
       store(rows.residual + row + lane, rows.padded, residual);
       store(rows.preconditioned + row + lane, rows.padded, first);
       store(rows.direction + row + lane, rows.padded, first);
-      store(rows.solution + row + lane, rows.padded, Triple{zero, zero, zero});
+      store(rows.solution + row + lane, rows.padded, none);
       store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(residual, first));
       store(&sums->sums[1][lane], load_real(&sums->sums[1][lane]) + dot(first, first));
+      // Between free vertices every product is met from either side.
+      store(&sums->sums[2][lane], load_real(&sums->sums[2][lane]) + dot(offset, fma_of(inertia, real(0.5f), border)));
     }
   }
 }

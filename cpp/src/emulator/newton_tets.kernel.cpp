@@ -2,7 +2,8 @@
 // F is the deformation gradient, A its cofactors, J its determinant, E = (F^T F - 1) / 2, S = 2 mu E + lambda tr(E) 1, g a corner's
 // gradient. The force on a corner is volume (F S + pressure A) g; the stiffness between two, made convex, is volume times
 // share (g_a . S g_b) 1 + mu ((g_a . g_b) F F^T + F g_b (F g_a)^T) + lambda F g_a (F g_b)^T + bulk A g_a (A g_b)^T, where the share
-// is 1 if S is positive definite and 0 if not.
+// is 1 if S is positive definite and 0 if not. The energy is volume times E : S / 2 + resistance ((1 - J) / 12)^3, and below the clamp
+// what the clamped stress does from there.
 #include "emulator/lane_algebra.hpp"
 #include "emulator/newton_kernel.hpp"
 
@@ -22,8 +23,10 @@ inline void load_edges(const double* positions, const std::int32_t* corners, flo
   }
 }
 
-// F into the rows 0 to 8 of f; clamped where the test cannot say that all stretches are far above the clamp.
-inline void deformation_gradients(const NewtonTets& tets, std::int64_t group, float (*f)[kGroup]) {
+// F into the rows 0 to 8 of f; clamped where the test cannot say that all stretches are far above the clamp. What the clamp took off is
+// in `below`, where it returns that there is any.
+inline bool deformation_gradients(const NewtonTets& tets, std::int64_t group, float (*f)[kGroup], float (*below)[kGroup]) {
+  bool any = false;
   float edges[9][kGroup];
   load_edges(tets.positions, tets.corners + group * 4 * kGroup, edges);
   for (int lane = 0; lane < kGroup; lane += kLanes) {
@@ -36,9 +39,19 @@ inline void deformation_gradients(const NewtonTets& tets, std::int64_t group, fl
       float one[9];
       for (int c = 0; c < 9; ++c) one[c] = f[c][lane + k];
       tets.raise_stretches(one);
-      for (int c = 0; c < 9; ++c) f[c][lane + k] = one[c];
+      if (!any) {
+        for (int c = 0; c < 9; ++c) {
+          for (int other = 0; other < kGroup; ++other) below[c][other] = 0.0f;
+        }
+        any = true;
+      }
+      for (int c = 0; c < 9; ++c) {
+        below[c][lane + k] = f[c][lane + k] - one[c];
+        f[c][lane + k] = one[c];
+      }
     }
   }
+  return any;
 }
 
 inline void corner_block(float (*out)[kGroup], int lane, Real xx, Real yy, Real zz, Real xy, Real xz, Real yz, Triple force) {
@@ -46,7 +59,9 @@ inline void corner_block(float (*out)[kGroup], int lane, Real xx, Real yy, Real 
   for (int k = 0; k < 9; ++k) store(&out[k][lane], values[k]);
 }
 
-inline void shares_of(const NewtonTets& tets, std::int64_t group, const float (*gradient)[kGroup], float (*out)[kGroup]) {
+// below: what the clamp took off, or null.
+inline void shares_of(const NewtonTets& tets, std::int64_t group, const float (*gradient)[kGroup], const float (*below)[kGroup],
+                      float (*out)[kGroup]) {
   for (int lane = 0; lane < kGroup; lane += kLanes) {
     const float* constants = tets.materials + group * 4 * kGroup + lane;
     const Real volume = load_real(constants), mu = load_real(constants + kGroup);
@@ -66,6 +81,14 @@ inline void shares_of(const NewtonTets& tets, std::int64_t group, const float (*
     const Real minor = s.x.x * s.y.y - s.x.y * s.x.y, determinant = dot(s.x, cross(s.y, s.z));
     const LaneMask stretched = both(both(zero < s.x.x, zero < minor), zero < determinant);
     const Real near = choose(stretched, volume, zero), shear = volume * mu, spread = volume * lambda;
+    Real strained = fma_of(czz, s.z.z, fma_of(cyy, s.y.y, cxx * s.x.x)) + dot({cxy, cxz, cyz}, {s.x.y, s.x.z, s.y.z}) * real(2.0f);
+    strained = strained * real(0.25f) + resistance * gap * gap * gap * real(1.0f / 1728.0f);
+    if (below) {
+      const Square stress = f * s, lost = load_square(&below[0][lane], kGroup);
+      strained = strained + dot(fma_of(a.x, pressure, stress.x), lost.x) + dot(fma_of(a.y, pressure, stress.y), lost.y) +
+                 dot(fma_of(a.z, pressure, stress.z), lost.z);
+    }
+    store(tets.energies + group * kGroup + lane, strained * volume);
     // Gradients of the corners, and what F, A and S make of them.
     const Triple corner[4] = {
         {zero - (g.x.x + g.y.x + g.z.x), zero - (g.x.y + g.y.y + g.z.y), zero - (g.x.z + g.y.z + g.z.z)}, g.x, g.y, g.z};
@@ -109,10 +132,10 @@ inline void shares_of(const NewtonTets& tets, std::int64_t group, const float (*
 }  // namespace
 
 void tet_shares(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept {
-  float lanes[kTetShare][kGroup] = {}, gradient[9][kGroup];
+  float lanes[kTetShare][kGroup] = {}, gradient[9][kGroup], below[9][kGroup];
   for (std::int64_t group = first_group; group < last_group; ++group) {
-    deformation_gradients(tets, group, gradient);
-    shares_of(tets, group, gradient, lanes);
+    const bool any_below = deformation_gradients(tets, group, gradient, below);
+    shares_of(tets, group, gradient, any_below ? below : nullptr, lanes);
     float* out = tets.shares + group * kGroup * kTetShare;
     for (int c = 0; c < kTetShare; c += kGroup) transpose_group(lanes[c], kGroup, out + c, kTetShare);
   }

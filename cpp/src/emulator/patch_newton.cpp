@@ -8,9 +8,11 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <utility>
 
+#include "elastic/descent.hpp"
 #include "emulator/newton_problem.hpp"
 #include "emulator/packed_layers.hpp"
 #include "followthrough/errors.hpp"
@@ -25,8 +27,15 @@ constexpr double nothing_left = 1e-7;
 // Root mean square of the first step, in edges, from which on the tolerance is as it is given: calmer frames are solved as exactly
 // in proportion, so that what comes to rest does.
 constexpr double lively_step = 0.1;
-// How much larger it may be after a guide's step.
-constexpr double tolerated_growth = 4.0;
+// Share of the predicted decrease of the energy that a step along the direction must bring (Armijo), and the energy's round-off: of what
+// is hardly strained, whose residual tells more, and of all else.
+constexpr double sufficient_decrease = 1e-4, rounding_near = 1e-4, rounding_far = 1e-6;
+// How often a pass's step is taken again, shorter.
+constexpr int most_retries = 6;
+// Bounds of how much shorter.
+constexpr double least_shortening = 0.1, greatest_shortening = 0.5;
+// Share of the slope that makes it worth while to go farther, and how much farther.
+constexpr double still_falling = 0.1, least_lengthening = 1.2, greatest_lengthening = 3.0;
 
 decltype(&baseline::guide_rows) guide_kernel() {
   switch (instruction_set()) {
@@ -90,6 +99,23 @@ struct PackedPass {
   PackedGuide guide;
 };
 
+// A pass's step, until it is known what it did to the energy.
+struct TakenStep {
+  double energy, left, slope;  // where it began; along the whole direction
+  double share;                // of the direction; 0: a guide's
+
+  bool good(double energy_there, double left_there) const {
+    const double rounding = left_there < left ? rounding_near : rounding_far;
+    return energy_there <= energy + sufficient_decrease * share * slope + rounding * std::abs(energy);
+  }
+  // Where the parabola through what is known of a share is least.
+  double shorter_share(double energy_there) const {
+    const double least = -0.5 * slope * share * share / (energy_there - energy - slope * share);
+    if (!std::isfinite(least)) return least_shortening * share;
+    return std::clamp(least, least_shortening * share, greatest_shortening * share);
+  }
+};
+
 }  // namespace
 
 void require_schedule(const NewtonSchedule& schedule) {
@@ -116,7 +142,9 @@ void require_schedule(const NewtonSchedule& schedule) {
 struct PatchNewton::Parts {
   Parts(const NewtonBody& body, const NewtonSchedule& schedule);
   void take_guided_step(const PackedGuide& guide, bool of_pass);
-  void take_pass(const PackedPass& pass, double& left_before, double tolerance, bool& finished);
+  double retake(double share);
+  double evaluate();
+  void take_passes(int count, const PackedPass* first, std::size_t different, double enough);
   void solve_frame(ConstPositions reference);
 
   NewtonProblem problem;
@@ -130,6 +158,8 @@ struct PatchNewton::Parts {
   std::array<Positions, 4> dynamic;    // u(t), u(t-1), u(t-2), u(t-3)
   std::array<Positions, 3> reference;  // x(t), x(t-1), x(t-2)
   Positions next;                      // u(t+1)
+  std::optional<TakenStep> taken;      // not evaluated yet
+  bool guided;                         // until a guide leads a frame astray
   std::int64_t frames = -1;            // since the reset; -1: never reset
 };
 
@@ -165,28 +195,65 @@ void PatchNewton::Parts::take_guided_step(const PackedGuide& guide, bool of_pass
   problem.move(problem.steps.data(), of_pass);
 }
 
-// left_before: of the pass before where a guide made its step, else negative.
-void PatchNewton::Parts::take_pass(const PackedPass& pass, double& left_before, double enough, bool& finished) {
+// The step that has been taken, as a share of its direction instead.
+double PatchNewton::Parts::retake(double share) {
+  taken->share = share;
+  problem.go_back_and_move(share);
+  return problem.assemble();
+}
+
+// Evaluates the estimate. Guides are mostly right, and nothing says that they always are: a step that does not bring the energy down
+// is not kept. The direction does, or a part of it, or, where compression makes the energy a cubic, more than all of it. Guides
+// have no say any more in such a frame.
+double PatchNewton::Parts::evaluate() {
   double left = problem.assemble();
-  if (left_before >= 0.0 && !(left <= tolerated_growth * left_before)) {
-    problem.go_back_and_move_along_direction();
-    left = problem.assemble();
+  if (!taken) return left;
+  int retries = 0;
+  for (; !taken->good(problem.energy, left); ++retries) {
+    if (retries == most_retries) {
+      problem.go_back_and_move(0.0);
+      taken.reset();
+      problem.assemble();
+      return 0.0;
+    }
+    left = retake(taken->share > 0.0 ? taken->shorter_share(problem.energy) : 1.0);
+    guided = false;
   }
-  left_before = -1.0;
-  finished = !(left >= enough);
-  if (finished) return;
-  problem.solve(pass.iterations);
-  if (pass.guide.layers.empty()) {
-    problem.move_along_direction();
-    return;
+  const double slope_there = problem.slope_along_saved();
+  if (retries > 0 && taken->share == 1.0 && slope_there < still_falling * taken->slope) {
+    const double energy = problem.energy;
+    const double farther = cubic_minimum(taken->energy, taken->slope, energy, slope_there);
+    if (farther > 1.0) {
+      left = retake(std::clamp(farther, least_lengthening, greatest_lengthening));
+      if (!(problem.energy < energy)) left = retake(1.0);
+    }
   }
-  problem.save();
-  take_guided_step(pass.guide, true);
-  left_before = left;
+  taken.reset();
+  return left;
+}
+
+// The last of the different passes is repeated.
+void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::size_t different, double enough) {
+  for (int k = 0; k < count; ++k) {
+    const double left = evaluate();
+    if (!(left >= enough)) return;
+    const PackedPass& pass = first[std::min(static_cast<std::size_t>(k), different - 1)];
+    problem.solve(pass.iterations);
+    problem.save();
+    taken = TakenStep{problem.energy, left, problem.slope, 1.0};
+    if (guided && !pass.guide.layers.empty()) {
+      taken->share = 0.0;
+      take_guided_step(pass.guide, true);
+    } else {
+      problem.move_along_direction();
+    }
+  }
 }
 
 void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
   problem.begin({{dynamic[0], dynamic[1], dynamic[2], dynamic[3]}, {next_reference, reference[0], reference[1], reference[2]}});
+  taken.reset();
+  guided = true;
   take_guided_step(start, false);
   double square = 0;
   for (int k = 0; k < 3; ++k) {
@@ -194,15 +261,9 @@ void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
     for (std::int32_t row = 0; row < problem.free_count; ++row) square += static_cast<double>(step[row]) * step[row];
   }
   const double liveliness = std::min(1.0, std::sqrt(square / (3.0 * std::max(problem.free_count, 1))) / lively_step);
-  const double enough = std::max(tolerance * liveliness, nothing_left);
-  double left_before = -1.0;
-  bool finished = false;
-  for (int k = 0; k < most_passes && !finished; ++k) {
-    const auto which = std::min(static_cast<std::size_t>(k), passes.size() - 1);
-    take_pass(passes[which], left_before, enough, finished);
-  }
-  finished = false;
-  for (int k = 0; k < extra_passes && !finished; ++k) take_pass(extra, left_before, nothing_left, finished);
+  take_passes(most_passes, passes.data(), passes.size(), std::max(tolerance * liveliness, nothing_left));
+  take_passes(extra_passes, &extra, 1, nothing_left);
+  if (taken) evaluate();
   if (!problem.finite()) problem.start_over();
   problem.write_estimate(next);
 }
