@@ -6,6 +6,7 @@
 /// Rows are free vertices along a curve through the volume, then the constrained ones next to them.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
@@ -19,6 +20,13 @@ namespace followthrough {
 inline constexpr std::int32_t kStartVectors = 9, kPassVectors = 6;
 /// And other numbers.
 inline constexpr std::int32_t kStartScalars = 4, kPassScalars = 5;
+
+/// A tet with its numbers, in edges, frames and mean densities.
+struct RowTet {
+  std::array<std::int32_t, 4> rows{};  ///< ascending
+  Eigen::Matrix3d gradients;           ///< inverse of the rest edges
+  double volume = 0, mass = 0, mu = 0, lambda = 0, resistance = 0;
+};
 
 struct NewtonProblem {
   explicit NewtonProblem(const NewtonBody& body);
@@ -51,20 +59,19 @@ struct NewtonProblem {
   std::vector<Index> edge_starts, edge_rows, edge_vertices;
   std::vector<Index> unused;  // constrained vertices that are no row's
 
-  // Tets.
-  std::int32_t tet_groups;
-  std::vector<std::int32_t> corners, tet_starts, tet_blocks, slot_starts, slot_columns, share_starts, share_blocks, border_starts,
-      border_columns;
-  std::vector<std::uint32_t> slot_turned;
-  AlignedFloats gradients, materials, shares, slot_masses, border_masses, masses, offsets, blocks, diagonal, inverse, residual,
-      preconditioned, directions, product, solution, first, saved_solution;
+  // What the kernels read and write (newton_kernel.hpp).
+  std::int32_t parts;
+  std::vector<std::int32_t> corners, places, part_tets, part_sums, halo_starts, halo_places, row_places, slot_starts,
+      slot_columns, slot_places, border_starts, border_columns;
+  AlignedFloats gradients, materials, sums, slot_masses, slot_turned, border_masses, masses, offsets, blocks, diagonal, inverse, residual, preconditioned,
+      directions, product, solution, first, saved_solution;
   // What guides are told, and what they say. Each vector is (3,padded), each number (padded,).
   AlignedFloats history, means, records, motion, log_squares, log_diagonals, inverse_squares, steps;
   std::vector<const float*> start_vectors, pass_vectors, start_scalars, pass_scalars;
   GuideInputs inputs{};
   std::vector<float> lumped_masses, half_log_stiffness, nearness, fullness;
   std::vector<double> positions, start, inertial, saved, last;  // z, its first value, y, z before a step, u(t); (rows, 3)
-  std::vector<LaneSums> sums;
+  std::vector<LaneSums> lane_sums;
   Positions now, target;                                 // u(t), x(t+1), m
   Eigen::RowVector3d fall = Eigen::RowVector3d::Zero();  // of a free body in a frame, edges
   NewtonTets tet_frame{};
@@ -74,6 +81,16 @@ struct NewtonProblem {
 
  private:
   void arrange(const NewtonBody& body);
+  std::vector<double> arrange_edges(const std::vector<RowTet>& tets);
+  void arrange_parts(const std::vector<RowTet>& tets);
+  void arrange_slots(const std::vector<double>& neighbour_masses);
+  void fill_tets(const std::vector<RowTet>& slots);
+  struct FreeEdges {
+    Index begin, higher, end;
+  };
+  FreeEdges free_edges(std::int32_t row) const;
+  std::int32_t sum_place(std::int32_t row, std::int32_t other) const;
+  std::int32_t last_group(std::int32_t part) const;
   double sum(int which) const;
   void find_nearness(const NewtonBody& body);
   void find_means();

@@ -31,48 +31,33 @@ inline Symmetric inverse_of(const Symmetric& m) {
           xz * scale, (m.xy * m.xz - m.xx * m.yz) * scale};
 }
 
-// Adds up blocks of nine floats (a register may read beyond them) into a row of 16.
-inline void add_blocks(const float* shares, const std::int32_t* first, const std::int32_t* last, float* out) {
-  constexpr int registers = (9 + kLanes - 1) / kLanes;
-  Lanes sums[registers];
-  for (int k = 0; k < registers; ++k) sums[k] = broadcast(0.0f);
-  for (; first != last; ++first) {
-    for (int k = 0; k < registers; ++k) sums[k] = add(sums[k], load(shares + *first + k * kLanes));
+// The nine floats at each lane's place.
+inline void gather_blocks(const float* sums, const std::int32_t* places, Real (&nine)[kBlock]) {
+  for (int c = 0; c < kBlock; c += kLanes) {
+    Lanes tile[kLanes];
+    for (int k = 0; k < kLanes; ++k) tile[k] = load(sums + places[k] + c);
+    transpose_tile(tile);
+    for (int k = 0; k < kLanes && c + k < kBlock; ++k) nine[c + k] = {tile[k]};
   }
-  for (int k = 0; k < registers; ++k) store(out + k * kLanes, sums[k]);
 }
 
 inline Triple gather_triple(const float* from, std::int32_t stride, const std::int32_t* index) {
   return {{gather(from, index)}, {gather(from + stride, index)}, {gather(from + 2 * static_cast<std::int64_t>(stride), index)}};
 }
 
-// One group's blocks, from the tets' shares.
+// One group's blocks, from the sums.
 inline void assemble_blocks(const NewtonRows& rows, std::int64_t group) {
-  float lanes[kGroup][kGroup], columns[kGroup][kGroup];
+  const Real half = real(0.5f);
   for (std::int64_t slot = rows.slot_starts[group]; slot < rows.slot_starts[group + 1]; ++slot) {
-    const std::int32_t* starts = rows.share_starts + slot * kGroup;
-    std::uint32_t turned = rows.slot_turned[slot];
-    for (int lane = 0; lane < kGroup; ++lane, turned >>= 1) {
-      float* row = lanes[lane];
-      add_blocks(rows.shares, rows.share_blocks + starts[lane], rows.share_blocks + starts[lane + 1], row);
-      if (turned & 1u) {
-        const float xy = row[1], xz = row[2], yz = row[5];
-        row[1] = row[3];
-        row[2] = row[6];
-        row[5] = row[7];
-        row[3] = xy;
-        row[6] = xz;
-        row[7] = yz;
-      }
-    }
-    transpose_group(lanes[0], kGroup, columns[0], kGroup);
-    float* out = rows.blocks + slot * 9 * kGroup;
-    const float* masses = rows.slot_masses + slot * kGroup;
     for (int lane = 0; lane < kGroup; lane += kLanes) {
-      const Real mass = load_real(masses + lane);
-      for (int k = 0; k < 9; ++k) {
-        const Real value = load_real(&columns[k][lane]);
-        store(out + k * kGroup + lane, k % 4 == 0 ? value + mass : value);
+      Real from[kBlock];
+      gather_blocks(rows.sums, rows.slot_places + slot * kGroup + lane, from);
+      const LaneMask turned = half < load_real(rows.slot_turned + slot * kGroup + lane);
+      const Real mass = load_real(rows.slot_masses + slot * kGroup + lane);
+      float* out = rows.blocks + slot * kBlock * kGroup + lane;
+      for (int k = 0; k < kBlock; ++k) {
+        const Real value = k % 4 == 0 ? from[k] + mass : choose(turned, from[k % 3 * 3 + k / 3], from[k]);
+        store(out + k * kGroup, value);
       }
     }
   }
@@ -91,18 +76,14 @@ inline Triple add_inertia(const NewtonRows& rows, const std::int32_t* columns, c
 }  // namespace
 
 void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept {
-  float lanes[kGroup][kGroup], columns[kGroup][kGroup];
   for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = sums->sums[1][lane] = 0.0f;
   for (std::int64_t group = first_group; group < last_group; ++group) {
     assemble_blocks(rows, group);
     const std::int64_t row = group * kGroup;
-    for (int lane = 0; lane < kGroup; ++lane) {
-      const std::int32_t* starts = rows.tet_starts + row + lane;
-      add_blocks(rows.shares, rows.tet_blocks + starts[0], rows.tet_blocks + starts[1], lanes[lane]);
-    }
-    transpose_group(lanes[0], kGroup, columns[0], kGroup);
     for (int lane = 0; lane < kGroup; lane += kLanes) {
-      Symmetric d = load_symmetric(&columns[0][lane]);
+      Real own[kBlock];
+      gather_blocks(rows.sums, rows.row_places + row + lane, own);
+      Symmetric d{own[0], own[1], own[2], own[3], own[4], own[5]};
       const Real mass = load_real(rows.masses + row + lane);
       d.xx = d.xx + mass;
       d.yy = d.yy + mass;
@@ -111,7 +92,7 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
       store(rows.diagonal + group * 6 * kGroup + lane, d);
       store(rows.inverse + group * 6 * kGroup + lane, inverse);
       Triple force =
-          fma_of(load_triple(rows.offsets + row + lane, rows.offset_stride), mass, load_triple(&columns[6][lane], kGroup));
+          fma_of(load_triple(rows.offsets + row + lane, rows.offset_stride), mass, Triple{own[6], own[7], own[8]});
       force =
           add_inertia(rows, rows.slot_columns, rows.slot_masses, rows.slot_starts[group], rows.slot_starts[group + 1], lane, force);
       force = add_inertia(rows, rows.border_columns, rows.border_masses, rows.border_starts[group], rows.border_starts[group + 1],
