@@ -36,26 +36,25 @@ struct NewtonRows {
   std::int32_t padded;                 ///< rows, a multiple of 16
   const std::int32_t* row_places;      ///< (padded,) in the sums, of the corners' blocks
   const std::int32_t* slot_starts;     ///< (groups + 1,) free neighbours
-  const std::int32_t* slot_columns;    ///< (slots, 16) rows
+  const std::int32_t* slot_columns;    ///< (slots, 16) where their vectors start in offsets and direction
   const float* slot_masses;            ///< (slots, 16)
   const std::int32_t* slot_places;     ///< (slots, 16) in the sums, of the block between the row and its neighbour
   const float* slot_turned;            ///< (slots, 16) 1 where that is the one of the other way round, else 0
   const std::int32_t* border_starts;   ///< (groups + 1,) constrained neighbours
-  const std::int32_t* border_columns;  ///< (border slots, 16) places in offsets
+  const std::int32_t* border_columns;  ///< (border slots, 16) likewise
   const float* border_masses;          ///< (border slots, 16)
   const float* masses;                 ///< (padded,) on the diagonal
   const float* sums;                   ///< of the tets; nine zeros come first
-  std::int32_t offset_stride;          ///< padded, and the constrained rows
-  const float* offsets;                ///< (3, offset_stride) z - y
+  const float* offsets;                ///< z - y, four floats a row, those of constrained rows after the padding
   float* blocks;                       ///< out: (slots, 9, 16)
   float* diagonal;                     ///< out: (groups, 6, 16) xx yy zz xy xz yz
   float* inverse;                      ///< out: (groups, 6, 16)
   // Vectors of the conjugate gradients, (3, padded).
   float* residual;
   float* preconditioned;
-  float* direction;
   float* product;
   float* solution;
+  float* direction;  ///< (padded, 4)
 };
 
 /// Sums over a part, lane by lane.

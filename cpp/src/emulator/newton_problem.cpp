@@ -245,13 +245,13 @@ void NewtonProblem::arrange(const NewtonBody& body) {
 
   // Numbers of the rows.
   const std::size_t vector_size = 3 * size(padded);
-  const std::int32_t offset_stride = padded + row_count - free_count;  // constrained rows come after the padding
   masses = floats(size(padded));
   std::fill_n(masses.data(), padded, 1.0f);
-  for (AlignedFloats* array : {&residual, &preconditioned, &directions, &product, &solution, &first, &saved_solution, &steps}) {
+  for (AlignedFloats* array : {&residual, &preconditioned, &product, &solution, &first, &saved_solution, &steps}) {
     *array = floats(vector_size);
   }
-  offsets = floats(3 * size(offset_stride));
+  offsets = floats(4 * size(offset_row(row_count)));
+  directions = floats(4 * size(padded));
   blocks = floats(slot_columns.size() * kBlock);
   diagonal = floats(6 * size(padded));
   inverse = floats(6 * size(padded));
@@ -299,16 +299,15 @@ void NewtonProblem::arrange(const NewtonBody& body) {
                border_masses.data(),
                masses.data(),
                sums.data(),
-               offset_stride,
                offsets.data(),
                blocks.data(),
                diagonal.data(),
                inverse.data(),
                residual.data(),
                preconditioned.data(),
-               directions.data(),
                product.data(),
-               solution.data()};
+               solution.data(),
+               directions.data()};
   for (std::int32_t v = 0; v < 6; ++v) start_vectors.push_back(history.data() + 3 * v * static_cast<std::int64_t>(padded));
   pass_vectors = {solution.data(), first.data(), preconditioned.data(), motion.data()};
   for (std::int64_t v = 0; v < 3; ++v) {
@@ -442,7 +441,7 @@ void NewtonProblem::arrange_slots(const std::vector<double>& neighbour_masses) {
         const Index edge = row < end_row ? edge_starts[size(row)] + s : 0;
         const bool there = row < end_row && edge < free_edges(row).end;
         const std::int32_t other = there ? edge_rows[size(edge)] : row;
-        slot_columns.push_back(other);
+        slot_columns.push_back(4 * other);
         slot_mass.push_back(there ? static_cast<float>(neighbour_masses[size(edge)]) : 0.0f);
         slot_places.push_back(there ? sum_place(std::min(row, other), std::max(row, other)) : 0);
         turned.push_back(other < row ? 1.0f : 0.0f);
@@ -452,7 +451,7 @@ void NewtonProblem::arrange_slots(const std::vector<double>& neighbour_masses) {
       for (std::int32_t row = first_row; row < first_row + kNewtonGroup; ++row) {
         const Index edge = row < end_row ? free_edges(row).end + s : 0;
         const bool there = row < end_row && edge < edge_starts[size(row) + 1];
-        border_columns.push_back(there ? edge_rows[size(edge)] + padded - free_count : 0);
+        border_columns.push_back(there ? 4 * offset_row(edge_rows[size(edge)]) : 0);
         border_mass.push_back(there ? static_cast<float>(neighbour_masses[size(edge)]) : 0.0f);
       }
     }
@@ -539,8 +538,7 @@ void NewtonProblem::begin(const NewtonHistory& h) {
       record[k] = static_cast<float>(moves ? (x1 - x0) - (u0 - u1) : x1 - ahead);
       record[3 + k] = static_cast<float>(acceleration);
       record[6 + k] = static_cast<float>(u0 - x0);
-      const std::int64_t column = moves ? row : row + padded - free_count;
-      offsets.data()[k * std::int64_t{row_frame.offset_stride} + column] = static_cast<float>(positions[place] - ahead);
+      offsets.data()[4 * offset_row(row) + k] = static_cast<float>(positions[place] - ahead);
       if (!moves) continue;
       float* to = history.data() + std::int64_t{k} * padded + row;
       const std::int64_t next = 3 * std::int64_t{padded};
@@ -613,6 +611,9 @@ void NewtonProblem::solve(int iterations) {
   }
 }
 
+// Constrained rows come after the padding.
+std::int32_t NewtonProblem::offset_row(std::int32_t row) const { return row < free_count ? row : row + padded - free_count; }
+
 std::int32_t NewtonProblem::last_group(std::int32_t part) const { return std::min((part + 1) * part_groups, groups); }
 
 void NewtonProblem::find_means() {
@@ -671,7 +672,7 @@ void NewtonProblem::move(const float* step, bool of_pass) {
     for (int k = 0; k < 3; ++k) {
       const std::size_t place = 3 * size(row) + size(k);
       positions[place] += static_cast<double>(step[std::int64_t{k} * padded + row]);
-      offsets.data()[std::int64_t{k} * row_frame.offset_stride + row] = static_cast<float>(positions[place] - inertial[place]);
+      offsets.data()[4 * offset_row(row) + k] = static_cast<float>(positions[place] - inertial[place]);
     }
   }
   if (of_pass) {

@@ -90,6 +90,7 @@ struct NewtonProblem {
   };
   FreeEdges free_edges(std::int32_t row) const;
   std::int32_t sum_place(std::int32_t row, std::int32_t other) const;
+  std::int32_t offset_row(std::int32_t row) const;
   std::int32_t last_group(std::int32_t part) const;
   double sum(int which) const;
   void find_nearness(const NewtonBody& body);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Lanes are rows of the matrix, so that a product needs no sum across lanes.
+#include "emulator/block_lanes.hpp"
 #include "emulator/lane_algebra.hpp"
 #include "emulator/newton_kernel.hpp"
 
@@ -41,9 +42,17 @@ inline void gather_blocks(const float* sums, const std::int32_t* places, Real (&
   }
 }
 
-inline Triple gather_triple(const float* from, std::int32_t stride, const std::int32_t* index) {
-  return {{gather(from, index)}, {gather(from + stride, index)}, {gather(from + 2 * static_cast<std::int64_t>(stride), index)}};
+inline Triple gather_triple(const float* from, const std::int32_t* starts) {
+  Lanes components[3];
+  load_vectors(from, starts, components);
+  return {{components[0]}, {components[1]}, {components[2]}};
 }
+inline Triple load_vectors(const float* from) {
+  Lanes components[3];
+  load_vectors(from, components);
+  return {{components[0]}, {components[1]}, {components[2]}};
+}
+inline void store_vectors(float* to, Triple a) { store_vectors(to, {a.x.v, a.y.v, a.z.v}); }
 
 // One group's blocks, from the sums.
 inline void assemble_blocks(const NewtonRows& rows, std::int64_t group) {
@@ -67,7 +76,7 @@ inline void assemble_blocks(const NewtonRows& rows, std::int64_t group) {
 inline Triple add_inertia(const NewtonRows& rows, const std::int32_t* columns, const float* masses, std::int64_t first,
                           std::int64_t last, int lane, Triple sum) {
   for (std::int64_t slot = first; slot < last; ++slot) {
-    const Triple offset = gather_triple(rows.offsets, rows.offset_stride, columns + slot * kGroup + lane);
+    const Triple offset = gather_triple(rows.offsets, columns + slot * kGroup + lane);
     sum = fma_of(offset, load_real(masses + slot * kGroup + lane), sum);
   }
   return sum;
@@ -92,7 +101,7 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
       store(rows.diagonal + group * 6 * kGroup + lane, d);
       store(rows.inverse + group * 6 * kGroup + lane, inverse);
       Triple force =
-          fma_of(load_triple(rows.offsets + row + lane, rows.offset_stride), mass, Triple{own[6], own[7], own[8]});
+          fma_of(load_vectors(rows.offsets + 4 * (row + lane)), mass, Triple{own[6], own[7], own[8]});
       force =
           add_inertia(rows, rows.slot_columns, rows.slot_masses, rows.slot_starts[group], rows.slot_starts[group + 1], lane, force);
       force = add_inertia(rows, rows.border_columns, rows.border_masses, rows.border_starts[group], rows.border_starts[group + 1],
@@ -101,7 +110,7 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
       const Triple residual{zero - force.x, zero - force.y, zero - force.z}, first = inverse * residual;
       store(rows.residual + row + lane, rows.padded, residual);
       store(rows.preconditioned + row + lane, rows.padded, first);
-      store(rows.direction + row + lane, rows.padded, first);
+      store_vectors(rows.direction + 4 * (row + lane), first);
       store(rows.solution + row + lane, rows.padded, Triple{zero, zero, zero});
       store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(residual, first));
       store(&sums->sums[1][lane], load_real(&sums->sums[1][lane]) + dot(first, first));
@@ -114,10 +123,10 @@ void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
   for (std::int64_t group = first_group; group < last_group; ++group) {
     const std::int64_t row = group * kGroup;
     for (int lane = 0; lane < kGroup; lane += kLanes) {
-      const Triple own = load_triple(rows.direction + row + lane, rows.padded);
+      const Triple own = load_vectors(rows.direction + 4 * (row + lane));
       Triple sum = load_symmetric(rows.diagonal + group * 6 * kGroup + lane) * own;
       for (std::int64_t slot = rows.slot_starts[group]; slot < rows.slot_starts[group + 1]; ++slot) {
-        const Triple other = gather_triple(rows.direction, rows.padded, rows.slot_columns + slot * kGroup + lane);
+        const Triple other = gather_triple(rows.direction, rows.slot_columns + slot * kGroup + lane);
         const float* block = rows.blocks + slot * 9 * kGroup + lane;
         Real* const parts[] = {&sum.x, &sum.y, &sum.z};
         for (int k = 0; k < 3; ++k) {
@@ -139,7 +148,7 @@ void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group
     for (int lane = 0; lane < kGroup; lane += kLanes) {
       const std::int64_t row = group * kGroup + lane;
       store(rows.solution + row, rows.padded,
-            fma_of(load_triple(rows.direction + row, rows.padded), step, load_triple(rows.solution + row, rows.padded)));
+            fma_of(load_vectors(rows.direction + 4 * row), step, load_triple(rows.solution + row, rows.padded)));
       const Triple left = fma_of(load_triple(rows.product + row, rows.padded), back, load_triple(rows.residual + row, rows.padded));
       const Triple next = load_symmetric(rows.inverse + group * 6 * kGroup + lane) * left;
       store(rows.residual + row, rows.padded, left);
@@ -152,8 +161,8 @@ void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group
 void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, std::int32_t last_group) noexcept {
   const Real part = real(share);
   for (std::int64_t row = std::int64_t{first_group} * kGroup; row < std::int64_t{last_group} * kGroup; row += kLanes) {
-    store(rows.direction + row, rows.padded,
-          fma_of(load_triple(rows.direction + row, rows.padded), part, load_triple(rows.preconditioned + row, rows.padded)));
+    const Triple turned = fma_of(load_vectors(rows.direction + 4 * row), part, load_triple(rows.preconditioned + row, rows.padded));
+    store_vectors(rows.direction + 4 * row, turned);
   }
 }
 
