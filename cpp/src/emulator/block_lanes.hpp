@@ -1,15 +1,18 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
-/// Vectors of four floats, x y z and one that nobody needs, and blocks of nine, which may start anywhere in memory: for kernel files only.
+/// Numbers in memory that are not floats lane by lane, for kernel files only: vectors of four floats, x y z and one that nobody
+/// needs, and blocks of nine, which may start anywhere; and numbers between -1 and 1 in 16 bits.
 #pragma once
+
+#include <cstdint>
 
 #include "emulator/lanes.hpp"
 
 namespace followthrough::FOLLOWTHROUGH_ISA {
 namespace {
 
-/// to[k] += from[k] for nine floats, and no other is read or written: a processor forwards what it has just stored only to a load of
-/// the same bytes, and blocks that lie side by side follow each other closely.
+/// to[k] += from[k] for nine floats, and no other is read or written: a processor forwards what it has just stored only to a load
+/// of the same bytes, and blocks that lie side by side follow each other closely.
 inline void add_block(float* to, const float* from) {
 #if defined(__AVX512F__)
   _mm256_storeu_ps(to, _mm256_add_ps(_mm256_loadu_ps(to), _mm256_loadu_ps(from)));
@@ -104,6 +107,51 @@ inline void store_vectors(float* to, const Lanes (&components)[3]) {
   }
 #endif
 }
+
+/// What 1 is in memory.
+template <typename Stored>
+constexpr float kOne = 1.0f;
+template <>
+constexpr float kOne<std::int16_t> = 32767.0f;
+
+inline Lanes load_numbers(const float* from) { return load(from); }
+inline void store_numbers(float* to, Lanes a) { store(to, a); }
+
+#if defined(__AVX512F__)
+inline Lanes load_numbers(const std::int16_t* from) {
+  return _mm512_cvtepi32_ps(_mm512_cvtepi16_epi32(_mm256_loadu_si256(reinterpret_cast<const __m256i*>(from))));
+}
+/// Rounded to the nearest, or even, and no farther than 16 bits go.
+inline void store_numbers(std::int16_t* to, Lanes a) {
+  _mm256_storeu_si256(reinterpret_cast<__m256i*>(to), _mm512_cvtsepi32_epi16(_mm512_cvtps_epi32(a)));
+}
+#elif defined(__AVX2__)
+inline Lanes load_numbers(const std::int16_t* from) {
+  return _mm256_cvtepi32_ps(_mm256_cvtepi16_epi32(_mm_loadu_si128(reinterpret_cast<const __m128i*>(from))));
+}
+inline void store_numbers(std::int16_t* to, Lanes a) {
+  const __m256i whole = _mm256_cvtps_epi32(a);
+  _mm_storeu_si128(reinterpret_cast<__m128i*>(to),
+                   _mm_packs_epi32(_mm256_castsi256_si128(whole), _mm256_extracti128_si256(whole, 1)));
+}
+#elif defined(__SSE2__) || defined(_M_X64)
+inline Lanes load_numbers(const std::int16_t* from) {
+  return _mm_cvtepi32_ps(_mm_cvtepi16_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(from))));
+}
+inline void store_numbers(std::int16_t* to, Lanes a) {
+  const __m128i whole = _mm_cvtps_epi32(a);
+  _mm_storel_epi64(reinterpret_cast<__m128i*>(to), _mm_packs_epi32(whole, whole));
+}
+#elif defined(__aarch64__) || defined(_M_ARM64)
+inline Lanes load_numbers(const std::int16_t* from) { return vcvtq_f32_s32(vmovl_s16(vld1_s16(from))); }
+inline void store_numbers(std::int16_t* to, Lanes a) { vst1_s16(to, vqmovn_s32(vcvtnq_s32_f32(a))); }
+#else
+inline Lanes load_numbers(const std::int16_t* from) { return static_cast<float>(*from); }
+inline void store_numbers(std::int16_t* to, Lanes a) {
+  *to = static_cast<std::int16_t>(a > -kOne<std::int16_t> ? rintf(a < kOne<std::int16_t> ? a : kOne<std::int16_t>)
+                                                          : -kOne<std::int16_t>);
+}
+#endif
 
 }  // namespace
 }  // namespace followthrough::FOLLOWTHROUGH_ISA

@@ -31,7 +31,9 @@ struct NewtonTets {
   void (*raise_stretches)(float* deformation_gradient) noexcept;  ///< of an F, row by row, that may have small ones
 };
 
-/// The rows' equations. Slots of a group are 16 neighbours, one of each of its rows (or the row itself with nothing to add).
+/// The rows' equations, every component divided by the root of the matrix's diagonal there, so that nothing in the matrix is larger
+/// than 1 and 16 bits a number will do where it is large. Slots of a group are 16 neighbours, one of each of its rows (or the row
+/// itself with nothing to add).
 struct NewtonRows {
   std::int32_t padded;                 ///< rows, a multiple of 16
   const std::int32_t* row_places;      ///< (padded,) in the sums, of the corners' blocks
@@ -46,9 +48,13 @@ struct NewtonRows {
   const float* masses;                 ///< (padded,) on the diagonal
   const float* sums;                   ///< of the tets; nine zeros come first
   const float* offsets;                ///< z - y, four floats a row, those of constrained rows after the padding
+  float* scales;                       ///< out: (padded, 4) one over the roots
+  float* traces;                       ///< out: (padded,) of the diagonal blocks as they were
   float* blocks;                       ///< out: (slots, 9, 16)
-  float* diagonal;                     ///< out: (groups, 6, 16) xx yy zz xy xz yz
-  float* inverse;                      ///< out: (groups, 6, 16)
+  std::int16_t* coarse_blocks;         ///< or these, 1 being 32767
+  float* diagonal;                     ///< out: (groups, 3, 16) xy xz yz
+  float* inverse;                      ///< out: (groups, 6, 16) xx yy zz xy xz yz
+  float* first;                        ///< out: (3, padded) the first preconditioned residual, in edges
   // Vectors of the conjugate gradients, (3, padded).
   float* residual;
   float* preconditioned;
@@ -95,12 +101,14 @@ struct GuideKernel {
   void add_tets(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept;                        \
   /* Adds the block at the second of each pair of places to that at the first. */                                           \
   void add_blocks(const std::int32_t* places, std::int32_t pairs, float* sums) noexcept;                                    \
-  /* Of a whole number of parts. */ \
   void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;   \
+  void assemble_blocks(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept;                 \
   void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;   \
   void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group, std::int32_t last_group,                \
                     LaneSums* sums) noexcept;                                                                               \
   void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, std::int32_t last_group) noexcept;          \
+  /* The solution, and what is left, in edges. */                                                                           \
+  void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept;                    \
   /* Means of the neighbours' records minus the row's own, (16, padded). */                                                 \
   void neighbour_means(const float* records, const std::int32_t* starts, const std::int32_t* neighbours, std::int32_t rows, \
                        std::int32_t padded, std::int32_t first_group, std::int32_t last_group, float* means) noexcept;      \

@@ -27,9 +27,13 @@ constexpr double smallest_stretch = 0.1;
 // Share of the cube over the longest edge below which a tet has no volume.
 constexpr double smallest_volume = 1e-14;
 constexpr double solver_tolerance = 0.003;
+// Frames that one thread does after threads have been in each other's way.
+constexpr int most_frames_alone = 100;
 // Groups of 16 rows in a part: fixed, so that sums do not depend on threads.
 constexpr std::int32_t part_groups = 16;
 constexpr std::int32_t part_rows = part_groups * kNewtonGroup;
+// Rows from which on the matrix is kept in 16 bits a number: smaller ones fit the second-level cache as they are.
+constexpr std::int32_t coarse_from = 1536;
 // Rows that are sorted by their number of neighbours, so that the 16 of a group have about as many.
 constexpr std::size_t sorting_window = 64;
 
@@ -37,16 +41,19 @@ struct Kernels {
   decltype(&baseline::add_tets) add_tets;
   decltype(&baseline::add_blocks) add_blocks;
   decltype(&baseline::assemble_rows) assemble_rows;
+  decltype(&baseline::assemble_blocks) assemble_blocks;
   decltype(&baseline::multiply_rows) multiply_rows;
   decltype(&baseline::advance_rows) advance_rows;
   decltype(&baseline::turn_rows) turn_rows;
+  decltype(&baseline::unscale_rows) unscale_rows;
   decltype(&baseline::neighbour_means) neighbour_means;
 };
 
 Kernels kernels() {
 #define FOLLOWTHROUGH_KERNELS_OF(isa)                                                                                \
   {                                                                                                                  \
-    isa::add_tets, isa::add_blocks, isa::assemble_rows, isa::multiply_rows, isa::advance_rows, isa::turn_rows, isa::neighbour_means \
+    isa::add_tets, isa::add_blocks, isa::assemble_rows, isa::assemble_blocks, isa::multiply_rows, isa::advance_rows, \
+        isa::turn_rows, isa::unscale_rows, isa::neighbour_means                                                      \
   }
   switch (instruction_set()) {
 #ifdef FOLLOWTHROUGH_HAS_avx512
@@ -252,8 +259,15 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   }
   offsets = floats(4 * size(offset_row(row_count)));
   directions = floats(4 * size(padded));
-  blocks = floats(slot_columns.size() * kBlock);
-  diagonal = floats(6 * size(padded));
+  scales = floats(4 * size(padded));
+  traces = floats(size(padded));
+  const bool coarse = free_count >= coarse_from;
+  if (coarse) {
+    coarse_blocks.assign(slot_columns.size() * kBlock, 0);
+  } else {
+    blocks = floats(slot_columns.size() * kBlock);
+  }
+  diagonal = floats(3 * size(padded));
   inverse = floats(6 * size(padded));
   const std::size_t columns = size(padded);
   history = floats(18 * columns);
@@ -300,9 +314,13 @@ void NewtonProblem::arrange(const NewtonBody& body) {
                masses.data(),
                sums.data(),
                offsets.data(),
+               scales.data(),
+               traces.data(),
                blocks.data(),
+               coarse ? coarse_blocks.data() : nullptr,
                diagonal.data(),
                inverse.data(),
+               first.data(),
                residual.data(),
                preconditioned.data(),
                product.data(),
@@ -317,9 +335,6 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   }
   start_scalars = {log_squares.data(), nearness.data(), half_log_stiffness.data(), fullness.data()};
   pass_scalars = {log_squares.data(), log_diagonals.data(), half_log_stiffness.data(), nearness.data(), fullness.data()};
-  inputs.padded = padded;
-  inputs.inverse_squares = inverse_squares.data();
-  inputs.steps = steps.data();
 }
 
 // Neighbours, ascending: free ones come first. Returns the mass between a row and each of them.
@@ -355,7 +370,9 @@ std::vector<double> NewtonProblem::arrange_edges(const std::vector<RowTet>& tets
 // A row's free neighbours: the first and the last of its edges that lead to one, and the first that leads to a higher row.
 NewtonProblem::FreeEdges NewtonProblem::free_edges(std::int32_t row) const {
   const auto begin = edge_rows.begin() + edge_starts[size(row)], end = edge_rows.begin() + edge_starts[size(row) + 1];
-  const auto place = [&](std::int32_t other) { return static_cast<Index>(std::lower_bound(begin, end, other) - edge_rows.begin()); };
+  const auto place = [&](std::int32_t other) {
+    return static_cast<Index>(std::lower_bound(begin, end, other) - edge_rows.begin());
+  };
   return {edge_starts[size(row)], place(row), place(free_count)};
 }
 
@@ -517,8 +534,14 @@ double NewtonProblem::sum(int which) const {
   return total;
 }
 
+// As many as are worthwhile, but one where more have just been in each other's way. Results are the same.
+int NewtonProblem::threads(double nanoseconds_a_row) const {
+  return frames_alone > 0 ? 1 : worthwhile_threads(padded, nanoseconds_a_row);
+}
+
 void NewtonProblem::begin(const NewtonHistory& h) {
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(row_count, 30.0))
+  frames_alone = barrier.was_crowded() ? most_frames_alone : std::max(frames_alone - 1, 0);
+#pragma omp parallel for schedule(static) num_threads(threads(30.0))
   for (std::int32_t row = 0; row < row_count; ++row) {
     const Index v = vertices[size(row)];
     const bool moves = row < free_count;
@@ -557,57 +580,57 @@ void NewtonProblem::begin(const NewtonHistory& h) {
 
 double NewtonProblem::assemble() {
   const Kernels kernel = kernels();
-  const int threads = worthwhile_threads(groups, 5000.0);
-#pragma omp parallel num_threads(threads)
+#pragma omp parallel num_threads(threads(150.0))
   {
-#pragma omp for schedule(static)
-    for (std::int32_t part = 0; part < parts; ++part) {
+    const TeamShare share(parts);
+    for (std::int32_t part = share.first; part < share.last; ++part) {
       std::fill(sums.data() + part_sums[size(part)], sums.data() + part_sums[size(part) + 1], 0.0f);
       kernel.add_tets(tet_frame, part_tets[size(part)], part_tets[size(part) + 1]);
     }
-#pragma omp for schedule(static)
-    for (std::int32_t part = 0; part < parts; ++part) {
+    barrier.wait();
+    for (std::int32_t part = share.first; part < share.last; ++part) {
       const std::int32_t halo = halo_starts[size(part)];
       kernel.add_blocks(halo_places.data() + halo, (halo_starts[size(part) + 1] - halo) / 2, sums.data());
-    }
-#pragma omp for schedule(static)
-    for (std::int32_t part = 0; part < parts; ++part) {
       kernel.assemble_rows(row_frame, part * part_groups, last_group(part), &lane_sums[size(part)]);
     }
   }
-  std::copy_n(preconditioned.data(), 3 * size(padded), first.data());
   residual_square = sum(0);
   evaluated = true;
   return free_count ? std::sqrt(sum(1) / (3.0 * free_count)) : 0.0;
 }
 
+// Every thread adds up the same sums and so goes the same way. The two that an iteration needs have places of their own, as one
+// thread may still be reading the first when another comes to the second.
 void NewtonProblem::solve(int iterations) {
   const Kernels kernel = kernels();
   const double enough = solver_tolerance * solver_tolerance * residual_square;
-  double square = residual_square;
-  const int threads = worthwhile_threads(groups, 200.0);
-  for (int k = 0; k < iterations && square > enough && square > 0.0; ++k) {
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (std::int32_t part = 0; part < parts; ++part) {
-      kernel.multiply_rows(row_frame, part * part_groups, last_group(part), &lane_sums[size(part)]);
+#pragma omp parallel num_threads(threads(10.0 * iterations))
+  {
+    const TeamShare share(parts);
+    const std::int32_t first_group = share.first * part_groups, end_group = last_group(share.last - 1);
+    double square = residual_square;
+    kernel.assemble_blocks(row_frame, first_group, end_group);
+    for (int k = 0; k < iterations && square > enough && square > 0.0; ++k) {
+      barrier.wait();
+      for (std::int32_t part = share.first; part < share.last; ++part) {
+        kernel.multiply_rows(row_frame, part * part_groups, last_group(part), &lane_sums[size(part)]);
+      }
+      barrier.wait();
+      const double curvature = sum(0);
+      if (!(curvature > 0.0)) {
+        if (k == 0) kernel.advance_rows(row_frame, 1.0f, first_group, end_group, &lane_sums[size(share.first)]);
+        break;
+      }
+      const auto length = static_cast<float>(square / curvature);
+      for (std::int32_t part = share.first; part < share.last; ++part) {
+        kernel.advance_rows(row_frame, length, part * part_groups, last_group(part), &lane_sums[size(part)]);
+      }
+      barrier.wait();
+      const double next = sum(1);
+      kernel.turn_rows(row_frame, static_cast<float>(next / square), first_group, end_group);
+      square = next;
     }
-    const double curvature = sum(0);
-    if (!(curvature > 0.0)) {
-      if (k == 0) std::copy_n(first.data(), 3 * size(padded), solution.data());
-      break;
-    }
-    const auto length = static_cast<float>(square / curvature);
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (std::int32_t part = 0; part < parts; ++part) {
-      kernel.advance_rows(row_frame, length, part * part_groups, last_group(part), &lane_sums[size(part)]);
-    }
-    const double next = sum(0);
-    const auto share = static_cast<float>(next / square);
-    square = next;
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (std::int32_t part = 0; part < parts; ++part) {
-      kernel.turn_rows(row_frame, share, part * part_groups, last_group(part));
-    }
+    kernel.unscale_rows(row_frame, first_group, end_group);
   }
 }
 
@@ -616,70 +639,82 @@ std::int32_t NewtonProblem::offset_row(std::int32_t row) const { return row < fr
 
 std::int32_t NewtonProblem::last_group(std::int32_t part) const { return std::min((part + 1) * part_groups, groups); }
 
-void NewtonProblem::find_means() {
-  const Kernels kernel = kernels();
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 600.0))
-  for (std::int32_t group = 0; group < groups; ++group) {
-    kernel.neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1,
-                           means.data());
-  }
+GuideInputs NewtonProblem::inputs_of(const std::vector<const float*>& vectors, const std::vector<const float*>& scalars) const {
+  return {padded,
+          static_cast<std::int32_t>(vectors.size()),
+          vectors.data(),
+          inverse_squares.data(),
+          static_cast<std::int32_t>(scalars.size()),
+          scalars.data(),
+          steps.data()};
 }
 
-void NewtonProblem::describe_start() {
-  find_means();
-  describe(start_vectors, start_scalars);
-}
+GuideInputs NewtonProblem::start_inputs() const { return inputs_of(start_vectors, start_scalars); }
 
-void NewtonProblem::describe_pass() {
+GuideInputs NewtonProblem::pass_inputs() const { return inputs_of(pass_vectors, pass_scalars); }
+
+void NewtonProblem::record(std::int32_t row) {
   const float* averaged[] = {solution.data(), preconditioned.data()};
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(row_count, 25.0))
-  for (std::int32_t row = 0; row < row_count; ++row) {
-    float* record = records.data() + std::int64_t{row} * kNewtonRecord;
-    for (int c = 0; c < 6; ++c) {
-      record[c] = row < free_count ? averaged[c / 3][(c % 3) * std::int64_t{padded} + row] : 0.0f;
-    }
-    if (row >= free_count) continue;
-    const float* d = diagonal.data() + std::int64_t{row / kNewtonGroup} * 6 * kNewtonGroup + row % kNewtonGroup;
-    const float trace = d[0] + d[kNewtonGroup] + d[2 * kNewtonGroup];
-    log_diagonals.data()[row] = 0.5f * std::log(trace / 3.0f / lumped_masses[size(row)]);
+  float* to = records.data() + std::int64_t{row} * kNewtonRecord;
+  for (int c = 0; c < 6; ++c) {
+    to[c] = row < free_count ? averaged[c / 3][(c % 3) * std::int64_t{padded} + row] : 0.0f;
   }
-  find_means();
-  describe(pass_vectors, pass_scalars);
+  if (row < free_count) log_diagonals.data()[row] = 0.5f * std::log(traces.data()[row] / 3.0f / lumped_masses[size(row)]);
 }
 
-// The sum of squares, and its logarithm.
-void NewtonProblem::describe(const std::vector<const float*>& vectors, const std::vector<const float*>& scalars) {
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(free_count, 40.0))
-  for (std::int32_t row = 0; row < free_count; ++row) {
+// Means, the sum of squares, and its logarithm.
+void NewtonProblem::describe(const GuideInputs& inputs, std::int32_t group) {
+  kernels().neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1,
+                            means.data());
+  const std::int32_t end_row = std::min((group + 1) * kNewtonGroup, free_count);
+  for (std::int32_t row = group * kNewtonGroup; row < end_row; ++row) {
     float square = 1e-18f;
-    for (const float* vector : vectors) {
+    for (std::int32_t v = 0; v < inputs.vector_count; ++v) {
       for (int k = 0; k < 3; ++k) {
-        const float value = vector[std::int64_t{k} * padded + row];
+        const float value = inputs.vectors[v][std::int64_t{k} * padded + row];
         square += value * value;
       }
     }
     inverse_squares.data()[row] = 1.0f / square;
     log_squares.data()[row] = 0.125f * std::clamp(std::log(square), -24.0f, 6.0f) + 0.75f;
   }
-  inputs.vectors = vectors.data();
-  inputs.vector_count = static_cast<std::int32_t>(vectors.size());
-  inputs.scalars = scalars.data();
-  inputs.scalar_count = static_cast<std::int32_t>(scalars.size());
 }
 
-void NewtonProblem::move(const float* step, bool of_pass) {
-  for (std::int32_t row = 0; row < free_count; ++row) {
+GuideInputs NewtonProblem::describe_start() {
+  const GuideInputs inputs = start_inputs();
+  for (std::int32_t group = 0; group < groups; ++group) describe(inputs, group);
+  return inputs;
+}
+
+GuideInputs NewtonProblem::describe_pass() {
+  const GuideInputs inputs = pass_inputs();
+  for (std::int32_t row = 0; row < row_count; ++row) record(row);
+  for (std::int32_t group = 0; group < groups; ++group) describe(inputs, group);
+  return inputs;
+}
+
+void NewtonProblem::move_group(const float* step, std::int32_t group) {
+  const std::int32_t end_row = std::min((group + 1) * kNewtonGroup, free_count);
+  for (std::int32_t row = group * kNewtonGroup; row < end_row; ++row) {
     for (int k = 0; k < 3; ++k) {
       const std::size_t place = 3 * size(row) + size(k);
       positions[place] += static_cast<double>(step[std::int64_t{k} * padded + row]);
       offsets.data()[4 * offset_row(row) + k] = static_cast<float>(positions[place] - inertial[place]);
     }
   }
+}
+
+void NewtonProblem::have_moved(const float* step, bool of_pass) {
   if (of_pass) {
     std::copy_n(step, 3 * size(padded), motion.data());
   } else if (finite()) {
     start = positions;
   }
+}
+
+void NewtonProblem::move(const float* step, bool of_pass) {
+  for (std::int32_t group = 0; group < groups; ++group) move_group(step, group);
+  have_moved(step, of_pass);
 }
 
 void NewtonProblem::move_along_direction() { move(solution.data(), true); }

@@ -13,6 +13,7 @@
 #include "emulator/newton_kernel.hpp"
 #include "emulator/packed_layers.hpp"
 #include "followthrough/emulator/newton_patches.hpp"
+#include "team_barrier.hpp"
 
 namespace followthrough {
 
@@ -31,16 +32,26 @@ struct RowTet {
 struct NewtonProblem {
   explicit NewtonProblem(const NewtonBody& body);
 
+  /// How many threads to share work among.
+  int threads(double nanoseconds_a_row) const;
   /// The estimate starts on y.
   void begin(const NewtonHistory& history);
   /// @return root mean square of the first preconditioned residual
   double assemble();
   void solve(int iterations);
-  /// Brings `inputs` up to date for the guide of the start, or of a pass that has been solved.
-  void describe_start();
-  void describe_pass();
+  /// What the guide of the start, or of a pass that has been solved, is told: brought up to date by `record` of every row, where it
+  /// is a pass's, and then `describe` of every group, in whatever order. `describe_start` and `describe_pass` do it all.
+  GuideInputs start_inputs() const;
+  GuideInputs pass_inputs() const;
+  void record(std::int32_t row);
+  void describe(const GuideInputs& inputs, std::int32_t group);
+  GuideInputs describe_start();
+  GuideInputs describe_pass();
   /// @param step (3,padded); becomes m where it is a pass's
   void move(const float* step, bool of_pass);
+  /// Its two parts: every group on its own, then what is left to do.
+  void move_group(const float* step, std::int32_t group);
+  void have_moved(const float* step, bool of_pass);
   void move_along_direction();
   /// Back to the estimate of `save`; the direction of then is what it moves along.
   void save();
@@ -61,17 +72,19 @@ struct NewtonProblem {
 
   // What the kernels read and write (newton_kernel.hpp).
   std::int32_t parts;
-  std::vector<std::int32_t> corners, places, part_tets, part_sums, halo_starts, halo_places, row_places, slot_starts,
-      slot_columns, slot_places, border_starts, border_columns;
-  AlignedFloats gradients, materials, sums, slot_masses, slot_turned, border_masses, masses, offsets, blocks, diagonal, inverse, residual, preconditioned,
-      directions, product, solution, first, saved_solution;
+  std::vector<std::int32_t> corners, places, part_tets, part_sums, halo_starts, halo_places, row_places, slot_starts, slot_columns,
+      slot_places, border_starts, border_columns;
+  std::vector<std::int16_t> coarse_blocks;
+  AlignedFloats gradients, materials, sums, slot_masses, slot_turned, border_masses, masses, offsets, scales, traces, blocks,
+      diagonal, inverse, residual, preconditioned, directions, product, solution, first, saved_solution;
   // What guides are told, and what they say. Each vector is (3,padded), each number (padded,).
   AlignedFloats history, means, records, motion, log_squares, log_diagonals, inverse_squares, steps;
   std::vector<const float*> start_vectors, pass_vectors, start_scalars, pass_scalars;
-  GuideInputs inputs{};
   std::vector<float> lumped_masses, half_log_stiffness, nearness, fullness;
   std::vector<double> positions, start, inertial, saved, last;  // z, its first value, y, z before a step, u(t); (rows, 3)
   std::vector<LaneSums> lane_sums;
+  TeamBarrier barrier;  // of the threads that share a pass
+  int frames_alone = 0;
   Positions now, target;                                 // u(t), x(t+1), m
   Eigen::RowVector3d fall = Eigen::RowVector3d::Zero();  // of a free body in a frame, edges
   NewtonTets tet_frame{};
@@ -94,8 +107,7 @@ struct NewtonProblem {
   std::int32_t last_group(std::int32_t part) const;
   double sum(int which) const;
   void find_nearness(const NewtonBody& body);
-  void find_means();
-  void describe(const std::vector<const float*>& vectors, const std::vector<const float*>& scalars);
+  GuideInputs inputs_of(const std::vector<const float*>& vectors, const std::vector<const float*>& scalars) const;
 };
 
 }  // namespace followthrough

@@ -54,23 +54,7 @@ inline Triple load_vectors(const float* from) {
 }
 inline void store_vectors(float* to, Triple a) { store_vectors(to, {a.x.v, a.y.v, a.z.v}); }
 
-// One group's blocks, from the sums.
-inline void assemble_blocks(const NewtonRows& rows, std::int64_t group) {
-  const Real half = real(0.5f);
-  for (std::int64_t slot = rows.slot_starts[group]; slot < rows.slot_starts[group + 1]; ++slot) {
-    for (int lane = 0; lane < kGroup; lane += kLanes) {
-      Real from[kBlock];
-      gather_blocks(rows.sums, rows.slot_places + slot * kGroup + lane, from);
-      const LaneMask turned = half < load_real(rows.slot_turned + slot * kGroup + lane);
-      const Real mass = load_real(rows.slot_masses + slot * kGroup + lane);
-      float* out = rows.blocks + slot * kBlock * kGroup + lane;
-      for (int k = 0; k < kBlock; ++k) {
-        const Real value = k % 4 == 0 ? from[k] + mass : choose(turned, from[k % 3 * 3 + k / 3], from[k]);
-        store(out + k * kGroup, value);
-      }
-    }
-  }
-}
+inline Triple times(Triple a, Triple b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
 
 // Adds masses times offsets of one kind of neighbours.
 inline Triple add_inertia(const NewtonRows& rows, const std::int32_t* columns, const float* masses, std::int64_t first,
@@ -82,67 +66,116 @@ inline Triple add_inertia(const NewtonRows& rows, const std::int32_t* columns, c
   return sum;
 }
 
+template <typename Stored>
+inline void assemble_blocks(const NewtonRows& rows, Stored* blocks, std::int64_t first_group, std::int64_t last_group) {
+  const Real half = real(0.5f), one = real(kOne<Stored>);
+  for (std::int64_t group = first_group; group < last_group; ++group) {
+    for (int lane = 0; lane < kGroup; lane += kLanes) {
+      const Triple scale = load_vectors(rows.scales + 4 * (group * kGroup + lane));
+      const Real own[3] = {scale.x, scale.y, scale.z};
+      for (std::int64_t slot = rows.slot_starts[group]; slot < rows.slot_starts[group + 1]; ++slot) {
+        Real from[kBlock];
+        gather_blocks(rows.sums, rows.slot_places + slot * kGroup + lane, from);
+        const LaneMask turned = half < load_real(rows.slot_turned + slot * kGroup + lane);
+        const Real mass = load_real(rows.slot_masses + slot * kGroup + lane);
+        const Triple neighbour = gather_triple(rows.scales, rows.slot_columns + slot * kGroup + lane);
+        const Real others[3] = {neighbour.x, neighbour.y, neighbour.z};
+        Stored* out = blocks + slot * kBlock * kGroup + lane;
+        for (int k = 0; k < kBlock; ++k) {
+          const Real value = k % 4 == 0 ? from[k] + mass : choose(turned, from[k % 3 * 3 + k / 3], from[k]);
+          store_numbers(out + k * kGroup, (value * (own[k / 3] * others[k % 3]) * one).v);
+        }
+      }
+    }
+  }
+}
+
+template <typename Stored>
+inline void multiply_rows(const NewtonRows& rows, const Stored* blocks, std::int64_t first_group, std::int64_t last_group,
+                          LaneSums* sums) {
+  const Real unit = real(1.0f / kOne<Stored>);
+  for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = 0.0f;
+  for (std::int64_t group = first_group; group < last_group; ++group) {
+    const std::int64_t row = group * kGroup;
+    for (int lane = 0; lane < kGroup; lane += kLanes) {
+      Triple sum{real(0.0f), real(0.0f), real(0.0f)};
+      for (std::int64_t slot = rows.slot_starts[group]; slot < rows.slot_starts[group + 1]; ++slot) {
+        const Triple other = gather_triple(rows.direction, rows.slot_columns + slot * kGroup + lane);
+        const Stored* block = blocks + slot * kBlock * kGroup + lane;
+        Real* const parts[] = {&sum.x, &sum.y, &sum.z};
+        for (int k = 0; k < 3; ++k, block += 3 * kGroup) {
+          const Triple line{{load_numbers(block)}, {load_numbers(block + kGroup)}, {load_numbers(block + 2 * kGroup)}};
+          *parts[k] = fma_of(line.z, other.z, fma_of(line.y, other.y, fma_of(line.x, other.x, *parts[k])));
+        }
+      }
+      const Triple own = load_vectors(rows.direction + 4 * (row + lane));
+      const Triple d = load_triple(rows.diagonal + group * 3 * kGroup + lane, kGroup);  // xy xz yz
+      const Triple product = fma_of(sum, unit,
+                                    {fma_of(d.y, own.z, fma_of(d.x, own.y, own.x)), fma_of(d.z, own.z, fma_of(d.x, own.x, own.y)),
+                                     fma_of(d.z, own.y, fma_of(d.y, own.x, own.z))});
+      store(rows.product + row + lane, rows.padded, product);
+      store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(own, product));
+    }
+  }
+}
+
 }  // namespace
 
 void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept {
+  const Real zero = real(0.0f), one = real(1.0f);
   for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = sums->sums[1][lane] = 0.0f;
   for (std::int64_t group = first_group; group < last_group; ++group) {
-    assemble_blocks(rows, group);
     const std::int64_t row = group * kGroup;
     for (int lane = 0; lane < kGroup; lane += kLanes) {
       Real own[kBlock];
       gather_blocks(rows.sums, rows.row_places + row + lane, own);
-      Symmetric d{own[0], own[1], own[2], own[3], own[4], own[5]};
       const Real mass = load_real(rows.masses + row + lane);
-      d.xx = d.xx + mass;
-      d.yy = d.yy + mass;
-      d.zz = d.zz + mass;
-      const Symmetric inverse = inverse_of(d);
-      store(rows.diagonal + group * 6 * kGroup + lane, d);
+      const Triple d{own[0] + mass, own[1] + mass, own[2] + mass};
+      const Triple scale{one / root(d.x), one / root(d.y), one / root(d.z)};
+      const Symmetric scaled{
+          one, one, one, own[3] * (scale.x * scale.y), own[4] * (scale.x * scale.z), own[5] * (scale.y * scale.z)};
+      const Symmetric inverse = inverse_of(scaled);
+      store_vectors(rows.scales + 4 * (row + lane), scale);
+      store(rows.traces + row + lane, d.x + d.y + d.z);
+      store(rows.diagonal + group * 3 * kGroup + lane, kGroup, Triple{scaled.xy, scaled.xz, scaled.yz});
       store(rows.inverse + group * 6 * kGroup + lane, inverse);
-      Triple force =
-          fma_of(load_vectors(rows.offsets + 4 * (row + lane)), mass, Triple{own[6], own[7], own[8]});
+      Triple force = fma_of(load_vectors(rows.offsets + 4 * (row + lane)), mass, Triple{own[6], own[7], own[8]});
       force =
           add_inertia(rows, rows.slot_columns, rows.slot_masses, rows.slot_starts[group], rows.slot_starts[group + 1], lane, force);
       force = add_inertia(rows, rows.border_columns, rows.border_masses, rows.border_starts[group], rows.border_starts[group + 1],
                           lane, force);
-      const Real zero = real(0.0f);
-      const Triple residual{zero - force.x, zero - force.y, zero - force.z}, first = inverse * residual;
+      const Triple residual = times(Triple{zero - force.x, zero - force.y, zero - force.z}, scale), next = inverse * residual;
+      const Triple first = times(next, scale);
+      store(rows.first + row + lane, rows.padded, first);
       store(rows.residual + row + lane, rows.padded, residual);
-      store(rows.preconditioned + row + lane, rows.padded, first);
-      store_vectors(rows.direction + 4 * (row + lane), first);
+      store(rows.preconditioned + row + lane, rows.padded, next);
+      store_vectors(rows.direction + 4 * (row + lane), next);
       store(rows.solution + row + lane, rows.padded, Triple{zero, zero, zero});
-      store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(residual, first));
+      store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(residual, next));
       store(&sums->sums[1][lane], load_real(&sums->sums[1][lane]) + dot(first, first));
     }
   }
 }
 
+void assemble_blocks(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept {
+  if (rows.coarse_blocks) {
+    assemble_blocks(rows, rows.coarse_blocks, first_group, last_group);
+  } else {
+    assemble_blocks(rows, rows.blocks, first_group, last_group);
+  }
+}
+
 void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept {
-  for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = 0.0f;
-  for (std::int64_t group = first_group; group < last_group; ++group) {
-    const std::int64_t row = group * kGroup;
-    for (int lane = 0; lane < kGroup; lane += kLanes) {
-      const Triple own = load_vectors(rows.direction + 4 * (row + lane));
-      Triple sum = load_symmetric(rows.diagonal + group * 6 * kGroup + lane) * own;
-      for (std::int64_t slot = rows.slot_starts[group]; slot < rows.slot_starts[group + 1]; ++slot) {
-        const Triple other = gather_triple(rows.direction, rows.slot_columns + slot * kGroup + lane);
-        const float* block = rows.blocks + slot * 9 * kGroup + lane;
-        Real* const parts[] = {&sum.x, &sum.y, &sum.z};
-        for (int k = 0; k < 3; ++k) {
-          const Triple line = load_triple(block + 3 * k * kGroup, kGroup);
-          *parts[k] = fma_of(line.z, other.z, fma_of(line.y, other.y, fma_of(line.x, other.x, *parts[k])));
-        }
-      }
-      store(rows.product + row + lane, rows.padded, sum);
-      store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(own, sum));
-    }
+  if (rows.coarse_blocks) {
+    multiply_rows(rows, rows.coarse_blocks, first_group, last_group, sums);
+  } else {
+    multiply_rows(rows, rows.blocks, first_group, last_group, sums);
   }
 }
 
 void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group, std::int32_t last_group,
                   LaneSums* sums) noexcept {
-  for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = 0.0f;
+  for (int lane = 0; lane < kGroup; ++lane) sums->sums[1][lane] = 0.0f;
   const Real step = real(length), back = real(-length);
   for (std::int64_t group = first_group; group < last_group; ++group) {
     for (int lane = 0; lane < kGroup; lane += kLanes) {
@@ -153,7 +186,7 @@ void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group
       const Triple next = load_symmetric(rows.inverse + group * 6 * kGroup + lane) * left;
       store(rows.residual + row, rows.padded, left);
       store(rows.preconditioned + row, rows.padded, next);
-      store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(left, next));
+      store(&sums->sums[1][lane], load_real(&sums->sums[1][lane]) + dot(left, next));
     }
   }
 }
@@ -163,6 +196,14 @@ void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, st
   for (std::int64_t row = std::int64_t{first_group} * kGroup; row < std::int64_t{last_group} * kGroup; row += kLanes) {
     const Triple turned = fma_of(load_vectors(rows.direction + 4 * row), part, load_triple(rows.preconditioned + row, rows.padded));
     store_vectors(rows.direction + 4 * row, turned);
+  }
+}
+
+void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept {
+  for (std::int64_t row = std::int64_t{first_group} * kGroup; row < std::int64_t{last_group} * kGroup; row += kLanes) {
+    const Triple scale = load_vectors(rows.scales + 4 * row);
+    store(rows.solution + row, rows.padded, times(load_triple(rows.solution + row, rows.padded), scale));
+    store(rows.preconditioned + row, rows.padded, times(load_triple(rows.preconditioned + row, rows.padded), scale));
   }
 }
 

@@ -15,7 +15,6 @@
 #include "emulator/packed_layers.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
-#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -150,19 +149,26 @@ PatchNewton::Parts::Parts(const NewtonBody& body, const NewtonSchedule& schedule
 }
 
 void PatchNewton::Parts::take_guided_step(const PackedGuide& guide, bool of_pass) {
-  if (of_pass) {
-    problem.describe_pass();
-  } else {
-    problem.describe_start();
-  }
   const auto kernel = guide_kernel();
   const GuideKernel network{guide.kernels.data(), static_cast<std::int32_t>(guide.kernels.size()), guide.widest};
-  const int threads = std::min(worthwhile_threads(problem.groups, guide.cost * 0.8), static_cast<int>(scratch.size()));
-#pragma omp parallel for schedule(static) num_threads(threads)
-  for (std::int32_t group = 0; group < problem.groups; ++group) {
-    kernel(problem.inputs, network, group, group + 1, scratch[static_cast<std::size_t>(omp_get_thread_num())].data());
+  const GuideInputs inputs = of_pass ? problem.pass_inputs() : problem.start_inputs();
+  const int threads = std::min(problem.threads(30.0 + 0.03 * guide.cost), static_cast<int>(scratch.size()));
+#pragma omp parallel num_threads(threads)
+  {
+    if (of_pass) {
+      const TeamShare rows(problem.row_count);
+      for (std::int32_t row = rows.first; row < rows.last; ++row) problem.record(row);
+      problem.barrier.wait();
+    }
+    float* const room = scratch[static_cast<std::size_t>(omp_get_thread_num())].data();
+    const TeamShare groups(problem.groups);
+    for (std::int32_t group = groups.first; group < groups.last; ++group) {
+      problem.describe(inputs, group);
+      kernel(inputs, network, group, group + 1, room);
+      problem.move_group(inputs.steps, group);
+    }
   }
-  problem.move(problem.steps.data(), of_pass);
+  problem.have_moved(inputs.steps, of_pass);
 }
 
 // left_before: of the pass before where a guide made its step, else negative.
