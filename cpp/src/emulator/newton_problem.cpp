@@ -618,7 +618,11 @@ void NewtonProblem::solve(int iterations) {
       barrier.wait();
       const double curvature = sum(0);
       if (!(curvature > 0.0)) {
-        if (k == 0) kernel.advance_rows(row_frame, 1.0f, first_group, end_group, &lane_sums[size(share.first)]);
+        if (k > 0) break;
+        for (std::int64_t axis = 0; axis < 3 && first_group < end_group; ++axis) {
+          const std::int64_t first_row = axis * padded + first_group * kNewtonGroup;
+          std::copy_n(preconditioned.data() + first_row, (end_group - first_group) * kNewtonGroup, solution.data() + first_row);
+        }
         break;
       }
       const auto length = static_cast<float>(square / curvature);
