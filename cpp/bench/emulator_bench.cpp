@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Emulator::step with the published network's sizes on blocks of cubes, and how many multiply-adds the machine's registers can do
-// in the same run, which is what a perfect matrix product reaches. time_a_vertex is time a free vertex; multiply_adds_a_second
-// counts those that remain after the exact savings, so its ratio to that of registers_peak is the share of the machine that is
-// used.
+// Emulator::step with the published network's sizes on blocks of cubes, PatchNewton::step with the shipped schedule's on the
+// dancer, and how many multiply-adds the machine's registers can do in the same run, which is what a perfect matrix product
+// reaches. time_a_vertex is time a free vertex; multiply_adds_a_second counts those that remain after the exact savings, so its
+// ratio to that of registers_peak is the share of the machine that is used.
 #include <benchmark/benchmark.h>
 #include <omp.h>
 
@@ -10,7 +10,9 @@
 #include <cmath>
 #include <random>
 
+#include "dancer.hpp"
 #include "followthrough/emulator/emulator.hpp"
+#include "followthrough/emulator/patch_newton.hpp"
 #include "instruction_set.hpp"
 
 #if defined(__x86_64__)
@@ -114,6 +116,50 @@ void emulator_step(benchmark::State& state, InstructionSet set, Eigen::Index div
   use_instruction_set(usual);
 }
 
+// A guide of the shipped widths that says the first of its vectors, whatever it is told.
+Guide guide_along_first(GuideSize size, float share) {
+  std::mt19937 random(1);
+  Guide guide = perceptron(random, {size.vectors * (size.vectors + 1) / 2 + size.scalars, 24, 24, size.vectors});
+  guide.back().weight.setZero();
+  guide.back().bias.setZero();
+  guide.back().bias[0] = share;
+  return guide;
+}
+
+// Three passes of 32 iterations, which is what a frame takes in the mean, so that sizes and threads compare. The modulus is such
+// that the dimensionless stiffness is the same at every size.
+void shipped_step(benchmark::State& state, InstructionSet set) {
+  if (!available(set)) {
+    state.SkipWithError("not available on this machine");
+    return;
+  }
+  const InstructionSet usual = instruction_set();
+  const int usual_threads = omp_get_max_threads();
+  use_instruction_set(set);
+  omp_set_num_threads(static_cast<int>(state.range(1)));
+  const double edge = 1e-4 * static_cast<double>(state.range(0));
+  const Dancer dancer(edge);
+  NewtonBody body{{dancer.rest, dancer.tets, dancer.constrained, {}, {}, Dancer::dt}};
+  body.youngs_modulus = Vector::Constant(dancer.rest.rows(), 5e4 * edge * edge / 0.04);
+  body.density = Vector::Constant(dancer.rest.rows(), 1000.0);
+  NewtonSchedule schedule;
+  schedule.start = guide_along_first(start_guide_size(), 0.5f);
+  schedule.passes.push_back({32, guide_along_first(pass_guide_size(), 1.0f)});
+  schedule.most_passes = 3;
+  schedule.tolerance = 0.0;
+  PatchNewton emulator(body, schedule);
+  emulator.reset(dancer.reference(0));
+  std::vector<Positions> references;
+  for (int frame = 1; frame <= 32; ++frame) references.push_back(dancer.reference(frame));
+  std::size_t frame = 0;
+  for (auto _ : state) benchmark::DoNotOptimize(emulator.step(references[frame++ % references.size()]).data());
+  const auto free = static_cast<double>(emulator.free_vertex_count()), steps = static_cast<double>(state.iterations());
+  state.counters["free"] = free;
+  state.counters["time_a_vertex"] = benchmark::Counter(free * steps, benchmark::Counter::kIsRate | benchmark::Counter::kInvert);
+  omp_set_num_threads(usual_threads);
+  use_instruction_set(usual);
+}
+
 #if defined(__x86_64__)
 // Chains of multiply-adds, more than any processor needs to hide their latency, that never leave the registers.
 constexpr int chains = 12, rounds = 1000;
@@ -188,5 +234,18 @@ BENCHMARK_CAPTURE(emulator_step, published_avx2, InstructionSet::avx2, 1)->Apply
 BENCHMARK_CAPTURE(emulator_step, published_avx512, InstructionSet::avx512, 1)->Apply(sizes);
 BENCHMARK_CAPTURE(emulator_step, half_width_avx512, InstructionSet::avx512, 2)->Apply(one_thread);
 BENCHMARK_CAPTURE(emulator_step, quarter_width_avx512, InstructionSet::avx512, 4)->Apply(one_thread);
+
+// About 1,100, 1,700, 3,800, 10,000 and 40,000 free vertices.
+void edges(benchmark::internal::Benchmark* bench) {
+  bench->ArgsProduct({{2000, 1700, 1250, 875, 530}, {1, 2}});
+  bench->ArgNames({"edge_tenth_mm", "threads"})->UseRealTime()->Unit(benchmark::kMillisecond);
+}
+void one_edge(benchmark::internal::Benchmark* bench) {
+  bench->Args({1700, 1})->ArgNames({"edge_tenth_mm", "threads"})->UseRealTime()->Unit(benchmark::kMillisecond);
+}
+
+BENCHMARK_CAPTURE(shipped_step, baseline, InstructionSet::baseline)->Apply(one_edge);
+BENCHMARK_CAPTURE(shipped_step, avx2, InstructionSet::avx2)->Apply(one_edge);
+BENCHMARK_CAPTURE(shipped_step, avx512, InstructionSet::avx512)->Apply(edges);
 
 }  // namespace

@@ -166,6 +166,12 @@ def test_every_frame_rests_in_its_pose_and_springs_swing_about_that(
     assert "1 frames have not converged, the first is 1" in capsys.readouterr().err
     assert cli.main(["simulate", str(sequence), "-o", str(sequence), "--quiet"]) == 0
     capsys.readouterr()
+    scores = {}
+    for solver in ([], ["--solver", "emulator"], ["--stiffness", "900"], ["--solver", "springs", "--stiffness", "900"]):
+        assert cli.main(["evaluate", str(sequence), *solver, "--json", "--quiet"]) == 0
+        scores[" ".join(solver)] = json.loads(capsys.readouterr().out)["rollout_all"]
+    assert scores[""] == scores["--solver emulator"]
+    assert scores["--stiffness 900"] == scores["--solver springs --stiffness 900"] != scores[""]
     assert cli.main(["evaluate", str(sequence), "--solver", "quasistatic", "--json", "--quiet"]) == 0
     assert json.loads(capsys.readouterr().out)["rollout_all"] > 0
     output.unlink()

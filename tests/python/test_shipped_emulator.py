@@ -56,6 +56,18 @@ class Case:
         )
 
 
+def crumpled_at_rest(crumple: float, speed: float) -> Sequence:
+    """As the characters of [DE]: at rest as in the first frame, whose cubes are squashed and turned inside out, which later frames undo."""
+    rest, tets = bar(8, 4, 2)
+    crumpled = rest + 0.2 * crumple * np.random.default_rng(5).uniform(-1, 1, rest.shape)
+    dt = math.sqrt(0.001)
+    seconds = speed * dt * np.arange(60)
+    undone = 0.5 - 0.5 * np.cos(2 * np.pi * 1.5 * seconds)[:, None, None]
+    reference = (1 - undone) * swung_and_stopped(crumpled, seconds) + undone * swung_and_stopped(rest, seconds)
+    held = (rest[:, 0] < 0.05) | (rest[:, 1] < 0.05)
+    return Sequence(reference[0], tets, held, np.full(len(rest), 5e4), dt, reference, density=DENSITY)
+
+
 def errors_and_motion(case: Case, weights: EmulatorWeights) -> tuple[float, float]:
     """Root mean squares over a whole rollout, edges: of the error, and of what secondary motion there is."""
     sequence = case.sequence()
@@ -84,6 +96,29 @@ def test_as_exact_at_every_stiffness(weights: EmulatorWeights, stiffness: float)
     error, motion = errors_and_motion(Case(30.0, 0.2, stiffness * DENSITY * 0.2**2 * 30.0**2), weights)
     assert motion > 0.03
     assert error < 0.01 * motion + 0.007
+
+
+@pytest.mark.filterwarnings("ignore:.*inverted at rest")
+@pytest.mark.parametrize("speed", [1.0, 3.0])
+@pytest.mark.parametrize(("crumple", "inverted"), [(0.5, 26), (0.7, 67)])
+def test_rest_shapes_of_squashed_and_inverted_cubes(
+    weights: EmulatorWeights, crumple: float, inverted: int, speed: float
+) -> None:
+    sequence = crumpled_at_rest(crumple, speed)
+    body = ElasticBody.of_sequence(sequence)
+    assert body.inverted_rest_tets == inverted
+    truth = simulate(sequence, ImplicitEuler(body, sequence.constrained, sequence.dt, quality="converged")).dynamic
+    found = simulate(sequence, Emulator.of_sequence(sequence, weights)).dynamic
+    assert truth is not None
+    assert found is not None
+    error, motion = (math.sqrt(np.mean(d**2)) / 0.2 for d in (found - truth, truth - sequence.reference))
+    most, true_most = (max(map(body.energy, frames)) for frames in (found, truth))
+    print(
+        f"{inverted} of {len(sequence.tets)} inverted: off by {error:.4f} of {motion:.4f} edges, energy {most / true_most:.3f}"
+    )
+    assert motion > 0.1
+    assert most < 2.0 * true_most
+    assert error < motion
 
 
 def test_one_material_moves_alike_whatever_the_units(weights: EmulatorWeights) -> None:

@@ -15,17 +15,17 @@ void require_evaluated(const NewtonProblem& problem) {
   if (!problem.evaluated) throw InvalidInput("estimate", "found none that was evaluated, expected begin and evaluate before this");
 }
 
-PatchFeatures features_of(const NewtonProblem& p) {
+PatchFeatures features_of(const NewtonProblem& p, const GuideInputs& inputs) {
   PatchFeatures result;
-  result.vectors.resize(p.free_count, 3 * Eigen::Index{p.inputs.vector_count});
-  result.scalars.resize(p.free_count, p.inputs.scalar_count);
-  for (Eigen::Index v = 0; v < p.inputs.vector_count; ++v) {
+  result.vectors.resize(p.free_count, 3 * Eigen::Index{inputs.vector_count});
+  result.scalars.resize(p.free_count, inputs.scalar_count);
+  for (Eigen::Index v = 0; v < inputs.vector_count; ++v) {
     for (Eigen::Index k = 0; k < 3; ++k) {
-      result.vectors.col(3 * v + k) = Eigen::Map<const Eigen::VectorXf>(p.inputs.vectors[v] + k * p.padded, p.free_count);
+      result.vectors.col(3 * v + k) = Eigen::Map<const Eigen::VectorXf>(inputs.vectors[v] + k * p.padded, p.free_count);
     }
   }
-  for (Eigen::Index k = 0; k < p.inputs.scalar_count; ++k) {
-    result.scalars.col(k) = Eigen::Map<const Eigen::VectorXf>(p.inputs.scalars[k], p.free_count);
+  for (Eigen::Index k = 0; k < inputs.scalar_count; ++k) {
+    result.scalars.col(k) = Eigen::Map<const Eigen::VectorXf>(inputs.scalars[k], p.free_count);
   }
   return result;
 }
@@ -61,8 +61,7 @@ void NewtonPatches::begin(const NewtonHistory& history) {
 
 PatchFeatures NewtonPatches::start_features() {
   if (!problem_->began) throw InvalidInput("estimate", "found none, expected begin before this");
-  problem_->describe_start();
-  return features_of(*problem_);
+  return features_of(*problem_, problem_->describe_start());
 }
 
 double NewtonPatches::evaluate(int iterations) {
@@ -75,8 +74,7 @@ double NewtonPatches::evaluate(int iterations) {
 
 PatchFeatures NewtonPatches::features() {
   require_evaluated(*problem_);
-  problem_->describe_pass();
-  return features_of(*problem_);
+  return features_of(*problem_, problem_->describe_pass());
 }
 
 NewtonPatches::Steps NewtonPatches::direction() const {

@@ -10,8 +10,9 @@
 #include <cmath>
 #include <cstddef>
 #include <cstring>
-#include <numeric>
+#include <map>
 #include <string>
+#include <utility>
 
 #include "emulator/patches.hpp"
 #include "followthrough/elastic/signed_svd.hpp"
@@ -26,24 +27,33 @@ constexpr double smallest_stretch = 0.1;
 // Share of the cube over the longest edge below which a tet has no volume.
 constexpr double smallest_volume = 1e-14;
 constexpr double solver_tolerance = 0.003;
-// Groups of 16 rows whose sums are taken together: fixed, so that sums do not depend on threads.
-constexpr std::int32_t block_groups = 8;
+// Frames that one thread does after threads have been in each other's way.
+constexpr int most_frames_alone = 100;
+// Groups of 16 rows in a part: fixed, so that sums do not depend on threads.
+constexpr std::int32_t part_groups = 16;
+constexpr std::int32_t part_rows = part_groups * kNewtonGroup;
+// Rows from which on the matrix is kept in 16 bits a number: smaller ones fit the second-level cache as they are.
+constexpr std::int32_t coarse_from = 1536;
 // Rows that are sorted by their number of neighbours, so that the 16 of a group have about as many.
 constexpr std::size_t sorting_window = 64;
 
 struct Kernels {
-  decltype(&baseline::tet_shares) tet_shares;
+  decltype(&baseline::add_tets) add_tets;
+  decltype(&baseline::add_blocks) add_blocks;
   decltype(&baseline::assemble_rows) assemble_rows;
+  decltype(&baseline::assemble_blocks) assemble_blocks;
   decltype(&baseline::multiply_rows) multiply_rows;
   decltype(&baseline::advance_rows) advance_rows;
   decltype(&baseline::turn_rows) turn_rows;
+  decltype(&baseline::unscale_rows) unscale_rows;
   decltype(&baseline::neighbour_means) neighbour_means;
 };
 
 Kernels kernels() {
 #define FOLLOWTHROUGH_KERNELS_OF(isa)                                                                                \
   {                                                                                                                  \
-    isa::tet_shares, isa::assemble_rows, isa::multiply_rows, isa::advance_rows, isa::turn_rows, isa::neighbour_means \
+    isa::add_tets, isa::add_blocks, isa::assemble_rows, isa::assemble_blocks, isa::multiply_rows, isa::advance_rows, \
+        isa::turn_rows, isa::unscale_rows, isa::neighbour_means                                                      \
   }
   switch (instruction_set()) {
 #ifdef FOLLOWTHROUGH_HAS_avx512
@@ -102,15 +112,20 @@ void require_constants(const NewtonBody& body, Eigen::Index count) {
   }
 }
 
-// Blocks of a tet's share between two corners, the lower one first.
-std::int32_t block_between(int lower, int higher) {
-  constexpr std::int32_t blocks[4][4] = {{0, 4, 5, 6}, {0, 0, 7, 8}, {0, 0, 0, 9}, {0, 0, 0, 0}};
-  return 9 * blocks[lower][higher];
-}
+// Where a block between a row and itself or a higher one is summed up for a later part.
+struct HaloBlock {
+  std::int32_t row, other, place;
+};
 
 AlignedFloats floats(std::size_t count) { return AlignedFloats(count); }
 
 std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
+
+AlignedFloats aligned(const std::vector<float>& values) {
+  AlignedFloats result(values.size());
+  std::copy(values.begin(), values.end(), result.data());
+  return result;
+}
 
 }  // namespace
 
@@ -201,13 +216,11 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   }
 
   // Tets with a free corner, in the order of their lowest row.
-  struct Tet {
-    std::array<std::int32_t, 4> rows;
-    Eigen::Index index;
-  };
-  std::vector<Tet> tets;
+  std::vector<RowTet> tets;
+  std::vector<double> lumped(size(row_count), 0.0);
+  const double nu = body.poisson_ratio;
   for (Eigen::Index t = 0; t < tet_count; ++t) {
-    Tet tet{{}, t};
+    RowTet tet;
     bool moves = false;
     for (int k = 0; k < 4; ++k) {
       moves = moves || !body.constrained[body.tets(t, k)];
@@ -215,156 +228,46 @@ void NewtonProblem::arrange(const NewtonBody& body) {
     }
     if (!moves) continue;
     std::sort(tet.rows.begin(), tet.rows.end());
+    std::array<Index, 4> c{};
+    for (std::size_t k = 0; k < 4; ++k) c[k] = vertices[size(tet.rows[k])];
+    tet.gradients = (edges_of(c) * inverse_length).inverse();
+    tet.volume = volumes[size(t)] * inverse_length * inverse_length * inverse_length;
+    tet.mass = mean_of(body.density, t) / mean_density * tet.volume;
+    const double modulus = mean_of(body.youngs_modulus, t) * frames_per_edge * frames_per_edge / mean_density;
+    tet.mu = modulus / (2.0 * (1.0 + nu));
+    tet.lambda = modulus * nu / ((1.0 + nu) * (1.0 - 2.0 * nu));
+    tet.resistance = modulus * body.compression_resistance;
+    for (const std::int32_t row : tet.rows) lumped[size(row)] += tet.mass / 4.0;
     tets.push_back(tet);
   }
-  std::stable_sort(tets.begin(), tets.end(), [](const Tet& a, const Tet& b) { return a.rows < b.rows; });
-  tet_groups = static_cast<std::int32_t>((tets.size() + kNewtonGroup - 1) / kNewtonGroup);
-  const std::size_t tet_slots = size(tet_groups) * kNewtonGroup;
-  corners.assign(4 * tet_slots, 0);
-  gradients = floats(9 * tet_slots);
-  materials = floats(4 * tet_slots);
-  shares = floats(tet_slots * kTetShare + kNewtonGroup);
-  energies = floats(tet_slots);
-  struct Pair {
-    std::int32_t row, other, share;
-    double mass;
-  };
-  std::vector<Pair> pairs;
-  std::vector<double> lumped(size(row_count), 0.0);
-  std::vector<std::vector<std::int32_t>> around(size(padded));
-  const double nu = body.poisson_ratio;
-  for (std::size_t slot = 0; slot < tet_slots && !tets.empty(); ++slot) {
-    const Tet& tet = tets[std::min(slot, tets.size() - 1)];
-    const bool real = slot < tets.size();
-    const std::size_t group = slot / kNewtonGroup, lane = slot % kNewtonGroup;
-    std::array<Index, 4> c{};
-    for (std::size_t k = 0; k < 4; ++k) {
-      c[k] = vertices[size(tet.rows[k])];
-      corners[(group * 4 + k) * kNewtonGroup + lane] = tet.rows[k];
-    }
-    const Eigen::Matrix3d inverse_edges = (edges_of(c) * inverse_length).inverse();
-    for (int k = 0; k < 9; ++k) {
-      gradients.data()[(group * 9 + size(k)) * kNewtonGroup + lane] = static_cast<float>(inverse_edges(k / 3, k % 3));
-    }
-    const double volume = volumes[size(tet.index)] * inverse_length * inverse_length * inverse_length;
-    const double modulus = mean_of(body.youngs_modulus, tet.index) * frames_per_edge * frames_per_edge / mean_density;
-    const double constants[] = {real ? volume : 0.0, modulus / (2.0 * (1.0 + nu)), modulus * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)),
-                                modulus * body.compression_resistance};
-    for (std::size_t k = 0; k < 4; ++k) materials.data()[(group * 4 + k) * kNewtonGroup + lane] = static_cast<float>(constants[k]);
-    if (!real) continue;
-    const double mass = mean_of(body.density, tet.index) / mean_density * volume / 20.0;
-    for (int a = 0; a < 4; ++a) {
-      const std::int32_t row = tet.rows[size(a)];
-      lumped[size(row)] += 5.0 * mass;
-      if (row >= free_count) continue;
-      const auto share = static_cast<std::int32_t>(slot * kTetShare);
-      around[size(row)].push_back(share + 9 * a);
-      for (int b = 0; b < 4; ++b) {
-        if (a != b) pairs.push_back({row, tet.rows[size(b)], share + block_between(std::min(a, b), std::max(a, b)), mass});
-      }
-    }
-  }
-  std::sort(pairs.begin(), pairs.end(), [](const Pair& a, const Pair& b) {
-    return a.row != b.row ? a.row < b.row : a.other != b.other ? a.other < b.other : a.share < b.share;
-  });
-
+  std::stable_sort(tets.begin(), tets.end(), [](const RowTet& a, const RowTet& b) { return a.rows < b.rows; });
   for (std::int32_t row = 0; row < free_count; ++row) {
-    if (!around[size(row)].empty()) continue;
+    if (lumped[size(row)] > 0.0) continue;
     throw InvalidInput(
         "tets", "found no volume around the free vertex " + std::to_string(vertices[size(row)]) + ", expected it to have mass");
   }
-
-  // Neighbours, ascending: free ones come first.
-  struct Neighbour {
-    std::int32_t row;
-    double mass;
-    std::size_t first, last;  // of the pairs
-  };
-  std::vector<std::vector<Neighbour>> near(size(padded));
-  for (std::size_t p = 0; p < pairs.size();) {
-    Neighbour neighbour{pairs[p].other, 0.0, p, p};
-    auto& list = near[size(pairs[p].row)];
-    for (; neighbour.last < pairs.size() && pairs[neighbour.last].row == pairs[p].row &&
-           pairs[neighbour.last].other == pairs[p].other;
-         ++neighbour.last) {
-      neighbour.mass += pairs[neighbour.last].mass;
-    }
-    p = neighbour.last;
-    list.push_back(neighbour);
-  }
-  edge_starts.push_back(0);
-  for (std::int32_t i = 0; i < free_count; ++i) {
-    for (const Neighbour& n : near[size(i)]) {
-      edge_rows.push_back(n.row);
-      edge_vertices.push_back(vertices[size(n.row)]);
-    }
-    edge_starts.push_back(static_cast<Index>(edge_rows.size()));
-  }
-  std::vector<float> slot_mass, border_mass;
-  tet_starts.push_back(0);
-  slot_starts.push_back(0);
-  border_starts.push_back(0);
-  share_starts.push_back(0);
-  for (std::int32_t group = 0; group < groups; ++group) {
-    std::size_t free_width = 0, border_width = 0;
-    std::array<std::size_t, kNewtonGroup> frees{};
-    for (std::int32_t lane = 0; lane < kNewtonGroup; ++lane) {
-      const auto& list = near[size(group * kNewtonGroup + lane)];
-      std::size_t& frees_here = frees[size(lane)];
-      while (frees_here < list.size() && list[frees_here].row < free_count) ++frees_here;
-      free_width = std::max(free_width, frees_here);
-      border_width = std::max(border_width, list.size() - frees_here);
-      const auto& blocks_here = around[size(group * kNewtonGroup + lane)];
-      tet_blocks.insert(tet_blocks.end(), blocks_here.begin(), blocks_here.end());
-      tet_starts.push_back(static_cast<std::int32_t>(tet_blocks.size()));
-    }
-    for (std::size_t s = 0; s < free_width; ++s) {
-      std::uint32_t turned = 0;
-      for (std::int32_t lane = 0; lane < kNewtonGroup; ++lane) {
-        const std::int32_t row = group * kNewtonGroup + lane;
-        const bool there = s < frees[size(lane)];
-        slot_columns.push_back(there ? near[size(row)][s].row : row);
-        slot_mass.push_back(there ? static_cast<float>(near[size(row)][s].mass) : 0.0f);
-        if (there) {
-          const Neighbour& n = near[size(row)][s];
-          for (std::size_t p = n.first; p < n.last; ++p) share_blocks.push_back(pairs[p].share);
-          if (n.row < row) turned |= 1u << lane;
-        }
-        share_starts.push_back(static_cast<std::int32_t>(share_blocks.size()));
-      }
-      slot_turned.push_back(turned);
-    }
-    for (std::size_t s = 0; s < border_width; ++s) {
-      for (std::int32_t lane = 0; lane < kNewtonGroup; ++lane) {
-        const std::int32_t row = group * kNewtonGroup + lane;
-        const std::size_t place = frees[size(lane)] + s;
-        const bool there = place < near[size(row)].size();
-        border_columns.push_back(there ? near[size(row)][place].row + padded - free_count : 0);
-        border_mass.push_back(there ? static_cast<float>(near[size(row)][place].mass) : 0.0f);
-      }
-    }
-    slot_starts.push_back(static_cast<std::int32_t>(slot_turned.size()));
-    border_starts.push_back(static_cast<std::int32_t>(border_columns.size() / kNewtonGroup));
-  }
-  const auto filled = [](const std::vector<float>& values) {
-    AlignedFloats result(values.size());
-    std::copy(values.begin(), values.end(), result.data());
-    return result;
-  };
-  slot_masses = filled(slot_mass);
-  border_masses = filled(border_mass);
+  const std::vector<double> neighbour_masses = arrange_edges(tets);
+  arrange_parts(tets);
+  arrange_slots(neighbour_masses);
 
   // Numbers of the rows.
   const std::size_t vector_size = 3 * size(padded);
-  const std::int32_t offset_stride = padded + row_count - free_count;  // constrained rows come after the padding
   masses = floats(size(padded));
   std::fill_n(masses.data(), padded, 1.0f);
-  for (AlignedFloats* array : {&residual, &preconditioned, &directions, &product, &solution, &first, &saved_solution, &steps}) {
+  for (AlignedFloats* array : {&residual, &preconditioned, &product, &solution, &first, &saved_solution, &steps}) {
     *array = floats(vector_size);
   }
-  offsets = floats(3 * size(offset_stride));
-  blocks = floats(slot_turned.size() * 9 * kNewtonGroup);
-  diagonal = floats(6 * size(padded));
+  offsets = floats(4 * size(offset_row(row_count)));
+  directions = floats(4 * size(padded));
+  scales = floats(4 * size(padded));
+  traces = floats(size(padded));
+  const bool coarse = free_count >= coarse_from;
+  if (coarse) {
+    coarse_blocks.assign(slot_columns.size() * kBlock, 0);
+  } else {
+    blocks = floats(slot_columns.size() * kBlock);
+  }
+  diagonal = floats(3 * size(padded));
   inverse = floats(6 * size(padded));
   const std::size_t columns = size(padded);
   history = floats(18 * columns);
@@ -387,7 +290,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   find_nearness(body);
   for (std::vector<double>* array : {&positions, &start, &inertial, &last}) array->assign(3 * size(row_count), 0.0);
   saved.assign(3 * size(free_count), 0.0);
-  sums.resize(size((groups + block_groups - 1) / block_groups));
+  lane_sums.resize(size(parts));
   now = Positions::Zero(count, 3);
   target = Positions::Zero(count, 3);
 
@@ -395,33 +298,35 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   tet_frame.gradients = gradients.data();
   tet_frame.materials = materials.data();
   tet_frame.positions = positions.data();
-  tet_frame.shares = shares.data();
+  tet_frame.places = places.data();
+  tet_frame.sums = sums.data();
   tet_frame.energies = energies.data();
   tet_frame.raise_stretches = &raise_stretches;
   row_frame = {padded,
-               tet_starts.data(),
-               tet_blocks.data(),
+               row_places.data(),
                slot_starts.data(),
                slot_columns.data(),
                slot_masses.data(),
-               share_starts.data(),
-               share_blocks.data(),
+               slot_places.data(),
                slot_turned.data(),
                border_starts.data(),
                border_columns.data(),
                border_masses.data(),
                masses.data(),
-               shares.data(),
-               offset_stride,
+               sums.data(),
                offsets.data(),
+               scales.data(),
+               traces.data(),
                blocks.data(),
+               coarse ? coarse_blocks.data() : nullptr,
                diagonal.data(),
                inverse.data(),
+               first.data(),
                residual.data(),
                preconditioned.data(),
-               directions.data(),
                product.data(),
-               solution.data()};
+               solution.data(),
+               directions.data()};
   for (std::int32_t v = 0; v < 6; ++v) start_vectors.push_back(history.data() + 3 * v * static_cast<std::int64_t>(padded));
   pass_vectors = {solution.data(), first.data(), preconditioned.data(), motion.data()};
   for (std::int64_t v = 0; v < 3; ++v) {
@@ -431,9 +336,167 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   }
   start_scalars = {log_squares.data(), nearness.data(), half_log_stiffness.data(), fullness.data()};
   pass_scalars = {log_squares.data(), log_diagonals.data(), half_log_stiffness.data(), nearness.data(), fullness.data()};
-  inputs.padded = padded;
-  inputs.inverse_squares = inverse_squares.data();
-  inputs.steps = steps.data();
+}
+
+// Neighbours, ascending: free ones come first. Returns the mass between a row and each of them.
+std::vector<double> NewtonProblem::arrange_edges(const std::vector<RowTet>& tets) {
+  struct Pair {
+    std::int32_t row, other;
+    double mass;
+  };
+  std::vector<Pair> pairs;
+  for (const RowTet& tet : tets) {
+    for (const std::int32_t row : tet.rows) {
+      for (const std::int32_t other : tet.rows) {
+        if (row < free_count && row != other) pairs.push_back({row, other, tet.mass / 20.0});
+      }
+    }
+  }
+  std::stable_sort(pairs.begin(), pairs.end(),
+                   [](const Pair& a, const Pair& b) { return a.row != b.row ? a.row < b.row : a.other < b.other; });
+  std::vector<double> between;
+  edge_starts.assign(1, 0);
+  for (auto pair = pairs.begin(); pair != pairs.end();) {
+    const std::int32_t row = pair->row, other = pair->other;
+    double mass = 0;
+    for (; pair != pairs.end() && pair->row == row && pair->other == other; ++pair) mass += pair->mass;
+    edge_rows.push_back(other);
+    edge_vertices.push_back(vertices[size(other)]);
+    between.push_back(mass);
+    if (pair == pairs.end() || pair->row != row) edge_starts.push_back(static_cast<Index>(edge_rows.size()));
+  }
+  return between;
+}
+
+// A row's free neighbours: the first and the last of its edges that lead to one, and the first that leads to a higher row.
+NewtonProblem::FreeEdges NewtonProblem::free_edges(std::int32_t row) const {
+  const auto begin = edge_rows.begin() + edge_starts[size(row)], end = edge_rows.begin() + edge_starts[size(row) + 1];
+  const auto place = [&](std::int32_t other) {
+    return static_cast<Index>(std::lower_bound(begin, end, other) - edge_rows.begin());
+  };
+  return {edge_starts[size(row)], place(row), place(free_count)};
+}
+
+// Where the block of a row and itself, or a higher one, is summed up.
+std::int32_t NewtonProblem::sum_place(std::int32_t row, std::int32_t other) const {
+  if (other == row) return row_places[size(row)];
+  const FreeEdges edges = free_edges(row);
+  const auto higher = edge_rows.begin() + edges.higher;
+  const auto rank = std::lower_bound(higher, edge_rows.begin() + edges.end, other) - higher;
+  return row_places[size(row)] + kBlock * (1 + static_cast<std::int32_t>(rank));
+}
+
+// Which part adds up what, and where. A part's places: one that nobody reads, its rows' own and higher blocks, its halo's.
+void NewtonProblem::arrange_parts(const std::vector<RowTet>& tets) {
+  parts = (groups + part_groups - 1) / part_groups;
+  row_places.assign(size(padded), 0);
+  part_sums.assign(1, kNewtonGroup);
+  part_tets.assign(1, 0);
+  std::vector<std::vector<HaloBlock>> halos(size(parts));
+  std::vector<RowTet> slots;
+  auto tet = tets.begin();
+  for (std::int32_t part = 0; part < parts; ++part) {
+    const std::int32_t end_row = std::min((part + 1) * part_rows, free_count), nowhere = part_sums.back();
+    std::int32_t next = nowhere + kBlock;
+    for (std::int32_t row = part * part_rows; row < end_row; ++row) {
+      const FreeEdges edges = free_edges(row);
+      row_places[size(row)] = next;
+      next += kBlock * (1 + edges.end - edges.higher);
+    }
+    std::map<std::pair<std::int32_t, std::int32_t>, std::int32_t> halo;
+    const auto place_of = [&](std::int32_t row, std::int32_t other) {
+      if (other >= free_count) return nowhere;
+      if (row < end_row) return sum_place(row, other);
+      const auto [found, is_new] = halo.try_emplace({row, other}, next);
+      if (is_new) {
+        next += kBlock;
+        halos[size(row / part_rows)].push_back({row, other, found->second});
+      }
+      return found->second;
+    };
+    const auto end = std::find_if(tet, tets.end(), [&](const RowTet& t) { return t.rows[0] >= end_row; });
+    const auto groups_here = static_cast<std::int32_t>((end - tet + kNewtonGroup - 1) / kNewtonGroup);
+    for (std::int32_t slot = 0; slot < groups_here * kNewtonGroup; ++slot) {
+      const bool real = tet + slot < end;
+      const RowTet& it = slots.emplace_back(real ? tet[slot] : *(end - 1));
+      if (!real) slots.back().volume = 0.0;
+      for (const std::int32_t row : it.rows) places.push_back(real ? place_of(row, row) : nowhere);
+      for (std::size_t a = 0; a < 4; ++a) {
+        for (std::size_t b = a + 1; b < 4; ++b) places.push_back(real ? place_of(it.rows[a], it.rows[b]) : nowhere);
+      }
+    }
+    tet = end;
+    part_tets.push_back(part_tets.back() + groups_here);
+    part_sums.push_back((next + kNewtonGroup - 1) / kNewtonGroup * kNewtonGroup);
+  }
+  halo_starts.assign(1, 0);
+  for (const std::vector<HaloBlock>& halo : halos) {
+    for (const HaloBlock& block : halo) {
+      halo_places.push_back(sum_place(block.row, block.other));
+      halo_places.push_back(block.place);
+    }
+    halo_starts.push_back(static_cast<std::int32_t>(halo_places.size()));
+  }
+  sums = floats(size(part_sums.back()) + kNewtonGroup);
+  fill_tets(slots);
+}
+
+// A group's neighbours, as many for each of its rows.
+void NewtonProblem::arrange_slots(const std::vector<double>& neighbour_masses) {
+  std::vector<float> slot_mass, turned, border_mass;
+  slot_starts.assign(1, 0);
+  border_starts.assign(1, 0);
+  for (std::int32_t group = 0; group < groups; ++group) {
+    const std::int32_t first_row = group * kNewtonGroup, end_row = std::min(first_row + kNewtonGroup, free_count);
+    Index free_width = 0, border_width = 0;
+    for (std::int32_t row = first_row; row < end_row; ++row) {
+      const FreeEdges edges = free_edges(row);
+      free_width = std::max(free_width, edges.end - edges.begin);
+      border_width = std::max(border_width, edge_starts[size(row) + 1] - edges.end);
+    }
+    for (Index s = 0; s < free_width; ++s) {
+      for (std::int32_t row = first_row; row < first_row + kNewtonGroup; ++row) {
+        const Index edge = row < end_row ? edge_starts[size(row)] + s : 0;
+        const bool there = row < end_row && edge < free_edges(row).end;
+        const std::int32_t other = there ? edge_rows[size(edge)] : row;
+        slot_columns.push_back(4 * other);
+        slot_mass.push_back(there ? static_cast<float>(neighbour_masses[size(edge)]) : 0.0f);
+        slot_places.push_back(there ? sum_place(std::min(row, other), std::max(row, other)) : 0);
+        turned.push_back(other < row ? 1.0f : 0.0f);
+      }
+    }
+    for (Index s = 0; s < border_width; ++s) {
+      for (std::int32_t row = first_row; row < first_row + kNewtonGroup; ++row) {
+        const Index edge = row < end_row ? free_edges(row).end + s : 0;
+        const bool there = row < end_row && edge < edge_starts[size(row) + 1];
+        border_columns.push_back(there ? 4 * offset_row(edge_rows[size(edge)]) : 0);
+        border_mass.push_back(there ? static_cast<float>(neighbour_masses[size(edge)]) : 0.0f);
+      }
+    }
+    slot_starts.push_back(static_cast<std::int32_t>(slot_columns.size() / kNewtonGroup));
+    border_starts.push_back(static_cast<std::int32_t>(border_columns.size() / kNewtonGroup));
+  }
+  slot_masses = aligned(slot_mass);
+  slot_turned = aligned(turned);
+  border_masses = aligned(border_mass);
+}
+
+// The tets' numbers, as the groups have them.
+void NewtonProblem::fill_tets(const std::vector<RowTet>& slots) {
+  corners.assign(4 * slots.size(), 0);
+  gradients = floats(9 * slots.size());
+  materials = floats(4 * slots.size());
+  energies = floats(slots.size());
+  for (std::size_t slot = 0; slot < slots.size(); ++slot) {
+    const RowTet& tet = slots[slot];
+    const std::size_t group = slot / kNewtonGroup, lane = slot % kNewtonGroup;
+    for (std::size_t k = 0; k < 4; ++k) corners[(group * 4 + k) * kNewtonGroup + lane] = tet.rows[k];
+    for (int k = 0; k < 9; ++k) {
+      gradients.data()[(group * 9 + size(k)) * kNewtonGroup + lane] = static_cast<float>(tet.gradients(k / 3, k % 3));
+    }
+    const double constants[] = {tet.volume, tet.mu, tet.lambda, tet.resistance};
+    for (std::size_t k = 0; k < 4; ++k) materials.data()[(group * 4 + k) * kNewtonGroup + lane] = static_cast<float>(constants[k]);
+  }
 }
 
 // One over one more than the number of tets between each free row's vertex and the nearest constrained one, 20 at most.
@@ -467,14 +530,20 @@ void NewtonProblem::find_nearness(const NewtonBody& body) {
 
 double NewtonProblem::sum(int which) const {
   double total = 0;
-  for (const LaneSums& block : sums) {
-    for (const float lane : block.sums[which]) total += static_cast<double>(lane);
+  for (const LaneSums& part : lane_sums) {
+    for (const float lane : part.sums[which]) total += static_cast<double>(lane);
   }
   return total;
 }
 
+// As many as are worthwhile, but one where more have just been in each other's way. Results are the same.
+int NewtonProblem::threads(double nanoseconds_a_row) const {
+  return frames_alone > 0 ? 1 : worthwhile_threads(padded, nanoseconds_a_row);
+}
+
 void NewtonProblem::begin(const NewtonHistory& h) {
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(row_count, 30.0))
+  frames_alone = barrier.was_crowded() ? most_frames_alone : std::max(frames_alone - 1, 0);
+#pragma omp parallel for schedule(static) num_threads(threads(30.0))
   for (std::int32_t row = 0; row < row_count; ++row) {
     const Index v = vertices[size(row)];
     const bool moves = row < free_count;
@@ -494,8 +563,7 @@ void NewtonProblem::begin(const NewtonHistory& h) {
       record[k] = static_cast<float>(moves ? (x1 - x0) - (u0 - u1) : x1 - ahead);
       record[3 + k] = static_cast<float>(acceleration);
       record[6 + k] = static_cast<float>(u0 - x0);
-      const std::int64_t column = moves ? row : row + padded - free_count;
-      offsets.data()[k * std::int64_t{row_frame.offset_stride} + column] = static_cast<float>(positions[place] - ahead);
+      offsets.data()[4 * offset_row(row) + k] = static_cast<float>(positions[place] - ahead);
       if (!moves) continue;
       float* to = history.data() + std::int64_t{k} * padded + row;
       const std::int64_t next = 3 * std::int64_t{padded};
@@ -514,126 +582,150 @@ void NewtonProblem::begin(const NewtonHistory& h) {
 
 double NewtonProblem::assemble() {
   const Kernels kernel = kernels();
-  constexpr std::int32_t tet_block = 4;
-  const std::int32_t tet_blocks_count = (tet_groups + tet_block - 1) / tet_block,
-                     row_blocks = static_cast<std::int32_t>(sums.size());
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(tet_groups, 500.0))
-  for (std::int32_t block = 0; block < tet_blocks_count; ++block) {
-    kernel.tet_shares(tet_frame, block * tet_block, std::min((block + 1) * tet_block, tet_groups));
+#pragma omp parallel num_threads(threads(150.0))
+  {
+    const TeamShare share(parts);
+    for (std::int32_t part = share.first; part < share.last; ++part) {
+      std::fill(sums.data() + part_sums[size(part)], sums.data() + part_sums[size(part) + 1], 0.0f);
+      kernel.add_tets(tet_frame, part_tets[size(part)], part_tets[size(part) + 1]);
+    }
+    barrier.wait();
+    for (std::int32_t part = share.first; part < share.last; ++part) {
+      const std::int32_t halo = halo_starts[size(part)];
+      kernel.add_blocks(halo_places.data() + halo, (halo_starts[size(part) + 1] - halo) / 2, sums.data());
+      kernel.assemble_rows(row_frame, part * part_groups, last_group(part), &lane_sums[size(part)]);
+    }
   }
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 2400.0))
-  for (std::int32_t block = 0; block < row_blocks; ++block) {
-    kernel.assemble_rows(row_frame, block * block_groups, std::min((block + 1) * block_groups, groups), &sums[size(block)]);
-  }
-  std::copy_n(preconditioned.data(), 3 * size(padded), first.data());
   residual_square = sum(0);
   energy = sum(2);
-  for (std::int32_t tet = 0; tet < tet_groups * kNewtonGroup; ++tet) energy += static_cast<double>(energies.data()[tet]);
+  for (std::int32_t tet = 0; tet < part_tets.back() * kNewtonGroup; ++tet) energy += static_cast<double>(energies.data()[tet]);
   evaluated = true;
   return free_count ? std::sqrt(sum(1) / (3.0 * free_count)) : 0.0;
 }
 
+// Every thread adds up the same sums and so goes the same way. The two that an iteration needs have places of their own, as one
+// thread may still be reading the first when another comes to the second.
 void NewtonProblem::solve(int iterations) {
   const Kernels kernel = kernels();
-  const auto row_blocks = static_cast<std::int32_t>(sums.size());
   const double enough = solver_tolerance * solver_tolerance * residual_square;
-  double square = residual_square;
-  slope = 0;
-  const int threads = worthwhile_threads(groups, 200.0);
-  for (int k = 0; k < iterations && square > enough && square > 0.0; ++k) {
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (std::int32_t block = 0; block < row_blocks; ++block) {
-      kernel.multiply_rows(row_frame, block * block_groups, std::min((block + 1) * block_groups, groups), &sums[size(block)]);
-    }
-    const double curvature = sum(0);
-    if (!(curvature > 0.0)) {
-      if (k == 0) {
-        std::copy_n(directions.data(), 3 * size(padded), solution.data());
-        slope = -square;
+#pragma omp parallel num_threads(threads(10.0 * iterations))
+  {
+    const TeamShare share(parts);
+    const std::int32_t first_group = share.first * part_groups, end_group = last_group(share.last - 1);
+    double square = residual_square, decrease = 0;
+    kernel.assemble_blocks(row_frame, first_group, end_group);
+    for (int k = 0; k < iterations && square > enough && square > 0.0; ++k) {
+      barrier.wait();
+      for (std::int32_t part = share.first; part < share.last; ++part) {
+        kernel.multiply_rows(row_frame, part * part_groups, last_group(part), &lane_sums[size(part)]);
       }
-      break;
+      barrier.wait();
+      const double curvature = sum(0);
+      if (!(curvature > 0.0)) {
+        if (k > 0) break;
+        decrease = square;
+        for (std::int64_t axis = 0; axis < 3 && first_group < end_group; ++axis) {
+          const std::int64_t first_row = axis * padded + first_group * kNewtonGroup;
+          std::copy_n(preconditioned.data() + first_row, (end_group - first_group) * kNewtonGroup, solution.data() + first_row);
+        }
+        break;
+      }
+      const auto length = static_cast<float>(square / curvature);
+      decrease += square / curvature * square;
+      for (std::int32_t part = share.first; part < share.last; ++part) {
+        kernel.advance_rows(row_frame, length, part * part_groups, last_group(part), &lane_sums[size(part)]);
+      }
+      barrier.wait();
+      const double next = sum(1);
+      kernel.turn_rows(row_frame, static_cast<float>(next / square), first_group, end_group);
+      square = next;
     }
-    const auto length = static_cast<float>(square / curvature);
-    slope -= square / curvature * square;
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (std::int32_t block = 0; block < row_blocks; ++block) {
-      kernel.advance_rows(row_frame, length, block * block_groups, std::min((block + 1) * block_groups, groups),
-                          &sums[size(block)]);
-    }
-    const double next = sum(0);
-    const auto share = static_cast<float>(next / square);
-    square = next;
-#pragma omp parallel for schedule(static) num_threads(threads)
-    for (std::int32_t block = 0; block < row_blocks; ++block) {
-      kernel.turn_rows(row_frame, share, block * block_groups, std::min((block + 1) * block_groups, groups));
-    }
+    kernel.unscale_rows(row_frame, first_group, end_group);
+    if (omp_get_thread_num() == 0) slope = -decrease;
   }
 }
 
-void NewtonProblem::find_means() {
-  const Kernels kernel = kernels();
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, 600.0))
-  for (std::int32_t group = 0; group < groups; ++group) {
-    kernel.neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1,
-                           means.data());
-  }
+// Constrained rows come after the padding.
+std::int32_t NewtonProblem::offset_row(std::int32_t row) const { return row < free_count ? row : row + padded - free_count; }
+
+std::int32_t NewtonProblem::last_group(std::int32_t part) const { return std::min((part + 1) * part_groups, groups); }
+
+GuideInputs NewtonProblem::inputs_of(const std::vector<const float*>& vectors, const std::vector<const float*>& scalars) const {
+  return {padded,
+          static_cast<std::int32_t>(vectors.size()),
+          vectors.data(),
+          inverse_squares.data(),
+          static_cast<std::int32_t>(scalars.size()),
+          scalars.data(),
+          steps.data()};
 }
 
-void NewtonProblem::describe_start() {
-  find_means();
-  describe(start_vectors, start_scalars);
-}
+GuideInputs NewtonProblem::start_inputs() const { return inputs_of(start_vectors, start_scalars); }
 
-void NewtonProblem::describe_pass() {
+GuideInputs NewtonProblem::pass_inputs() const { return inputs_of(pass_vectors, pass_scalars); }
+
+void NewtonProblem::record(std::int32_t row) {
   const float* averaged[] = {solution.data(), preconditioned.data()};
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(row_count, 25.0))
-  for (std::int32_t row = 0; row < row_count; ++row) {
-    float* record = records.data() + std::int64_t{row} * kNewtonRecord;
-    for (int c = 0; c < 6; ++c) {
-      record[c] = row < free_count ? averaged[c / 3][(c % 3) * std::int64_t{padded} + row] : 0.0f;
-    }
-    if (row >= free_count) continue;
-    const float* d = diagonal.data() + std::int64_t{row / kNewtonGroup} * 6 * kNewtonGroup + row % kNewtonGroup;
-    const float trace = d[0] + d[kNewtonGroup] + d[2 * kNewtonGroup];
-    log_diagonals.data()[row] = 0.5f * std::log(trace / 3.0f / lumped_masses[size(row)]);
+  float* to = records.data() + std::int64_t{row} * kNewtonRecord;
+  for (int c = 0; c < 6; ++c) {
+    to[c] = row < free_count ? averaged[c / 3][(c % 3) * std::int64_t{padded} + row] : 0.0f;
   }
-  find_means();
-  describe(pass_vectors, pass_scalars);
+  if (row < free_count) log_diagonals.data()[row] = 0.5f * std::log(traces.data()[row] / 3.0f / lumped_masses[size(row)]);
 }
 
-// The sum of squares, and its logarithm.
-void NewtonProblem::describe(const std::vector<const float*>& vectors, const std::vector<const float*>& scalars) {
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(free_count, 40.0))
-  for (std::int32_t row = 0; row < free_count; ++row) {
+// Means, the sum of squares, and its logarithm.
+void NewtonProblem::describe(const GuideInputs& inputs, std::int32_t group) {
+  kernels().neighbour_means(records.data(), edge_starts.data(), edge_rows.data(), free_count, padded, group, group + 1,
+                            means.data());
+  const std::int32_t end_row = std::min((group + 1) * kNewtonGroup, free_count);
+  for (std::int32_t row = group * kNewtonGroup; row < end_row; ++row) {
     float square = 1e-18f;
-    for (const float* vector : vectors) {
+    for (std::int32_t v = 0; v < inputs.vector_count; ++v) {
       for (int k = 0; k < 3; ++k) {
-        const float value = vector[std::int64_t{k} * padded + row];
+        const float value = inputs.vectors[v][std::int64_t{k} * padded + row];
         square += value * value;
       }
     }
     inverse_squares.data()[row] = 1.0f / square;
     log_squares.data()[row] = 0.125f * std::clamp(std::log(square), -24.0f, 6.0f) + 0.75f;
   }
-  inputs.vectors = vectors.data();
-  inputs.vector_count = static_cast<std::int32_t>(vectors.size());
-  inputs.scalars = scalars.data();
-  inputs.scalar_count = static_cast<std::int32_t>(scalars.size());
 }
 
-void NewtonProblem::move(const float* step, bool of_pass) {
-  for (std::int32_t row = 0; row < free_count; ++row) {
+GuideInputs NewtonProblem::describe_start() {
+  const GuideInputs inputs = start_inputs();
+  for (std::int32_t group = 0; group < groups; ++group) describe(inputs, group);
+  return inputs;
+}
+
+GuideInputs NewtonProblem::describe_pass() {
+  const GuideInputs inputs = pass_inputs();
+  for (std::int32_t row = 0; row < row_count; ++row) record(row);
+  for (std::int32_t group = 0; group < groups; ++group) describe(inputs, group);
+  return inputs;
+}
+
+void NewtonProblem::move_group(const float* step, std::int32_t group) {
+  const std::int32_t end_row = std::min((group + 1) * kNewtonGroup, free_count);
+  for (std::int32_t row = group * kNewtonGroup; row < end_row; ++row) {
     for (int k = 0; k < 3; ++k) {
       const std::size_t place = 3 * size(row) + size(k);
       positions[place] += static_cast<double>(step[std::int64_t{k} * padded + row]);
-      offsets.data()[std::int64_t{k} * row_frame.offset_stride + row] = static_cast<float>(positions[place] - inertial[place]);
+      offsets.data()[4 * offset_row(row) + k] = static_cast<float>(positions[place] - inertial[place]);
     }
   }
+}
+
+void NewtonProblem::have_moved(const float* step, bool of_pass) {
   if (of_pass) {
     std::copy_n(step, 3 * size(padded), motion.data());
   } else if (finite()) {
     start = positions;
   }
+}
+
+void NewtonProblem::move(const float* step, bool of_pass) {
+  for (std::int32_t group = 0; group < groups; ++group) move_group(step, group);
+  have_moved(step, of_pass);
 }
 
 void NewtonProblem::move_along_direction() { move(solution.data(), true); }
@@ -651,8 +743,11 @@ void NewtonProblem::go_back_and_move(double share) {
 
 double NewtonProblem::slope_along_saved() const {
   double sum = 0;
-  for (std::size_t k = 0; k < 3 * size(padded); ++k) {
-    sum -= static_cast<double>(residual.data()[k]) * static_cast<double>(saved_solution.data()[k]);
+  for (std::int64_t row = 0; row < free_count; ++row) {
+    for (std::int64_t k = 0; k < 3; ++k) {
+      const std::int64_t place = k * padded + row;
+      sum -= static_cast<double>(residual.data()[place]) / scales.data()[4 * row + k] * saved_solution.data()[place];
+    }
   }
   return sum;
 }

@@ -6,12 +6,14 @@
 /// Rows are free vertices along a curve through the volume, then the constrained ones next to them.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
 #include "emulator/newton_kernel.hpp"
 #include "emulator/packed_layers.hpp"
 #include "followthrough/emulator/newton_patches.hpp"
+#include "team_barrier.hpp"
 
 namespace followthrough {
 
@@ -20,9 +22,18 @@ inline constexpr std::int32_t kStartVectors = 9, kPassVectors = 6;
 /// And other numbers.
 inline constexpr std::int32_t kStartScalars = 4, kPassScalars = 5;
 
+/// A tet with its numbers, in edges, frames and mean densities.
+struct RowTet {
+  std::array<std::int32_t, 4> rows{};  ///< ascending
+  Eigen::Matrix3d gradients;           ///< inverse of the rest edges
+  double volume = 0, mass = 0, mu = 0, lambda = 0, resistance = 0;
+};
+
 struct NewtonProblem {
   explicit NewtonProblem(const NewtonBody& body);
 
+  /// How many threads to share work among.
+  int threads(double nanoseconds_a_row) const;
   /// The estimate starts on y.
   void begin(const NewtonHistory& history);
   /// Evaluates the estimate: equations, residual, energy.
@@ -30,17 +41,25 @@ struct NewtonProblem {
   double assemble();
   /// Finds the direction; `slope` is that of the energy along it.
   void solve(int iterations);
-  /// Brings `inputs` up to date for the guide of the start, or of a pass that has been solved.
-  void describe_start();
-  void describe_pass();
+  /// What the guide of the start, or of a pass that has been solved, is told: brought up to date by `record` of every row, where it
+  /// is a pass's, and then `describe` of every group, in whatever order. `describe_start` and `describe_pass` do it all.
+  GuideInputs start_inputs() const;
+  GuideInputs pass_inputs() const;
+  void record(std::int32_t row);
+  void describe(const GuideInputs& inputs, std::int32_t group);
+  GuideInputs describe_start();
+  GuideInputs describe_pass();
   /// @param step (3,padded); becomes m where it is a pass's
   void move(const float* step, bool of_pass);
+  /// Its two parts: every group on its own, then what is left to do.
+  void move_group(const float* step, std::int32_t group);
+  void have_moved(const float* step, bool of_pass);
   void move_along_direction();
   /// Keeps the estimate and the direction.
   void save();
   /// Goes back to the estimate of `save`, and from there a share of the direction of then.
   void go_back_and_move(double share);
-  /// Slope at the estimate of the energy along the direction of `save`.
+  /// Slope at the estimate, which has been evaluated, of the energy along the direction of `save`.
   double slope_along_saved() const;
   bool finite() const;
   void start_over();
@@ -56,20 +75,21 @@ struct NewtonProblem {
   std::vector<Index> edge_starts, edge_rows, edge_vertices;
   std::vector<Index> unused;  // constrained vertices that are no row's
 
-  // Tets.
-  std::int32_t tet_groups;
-  std::vector<std::int32_t> corners, tet_starts, tet_blocks, slot_starts, slot_columns, share_starts, share_blocks, border_starts,
-      border_columns;
-  std::vector<std::uint32_t> slot_turned;
-  AlignedFloats gradients, materials, shares, energies, slot_masses, border_masses, masses, offsets, blocks, diagonal, inverse, residual,
-      preconditioned, directions, product, solution, first, saved_solution;
+  // What the kernels read and write (newton_kernel.hpp).
+  std::int32_t parts;
+  std::vector<std::int32_t> corners, places, part_tets, part_sums, halo_starts, halo_places, row_places, slot_starts, slot_columns,
+      slot_places, border_starts, border_columns;
+  std::vector<std::int16_t> coarse_blocks;
+  AlignedFloats gradients, materials, energies, sums, slot_masses, slot_turned, border_masses, masses, offsets, scales, traces,
+      blocks, diagonal, inverse, residual, preconditioned, directions, product, solution, first, saved_solution;
   // What guides are told, and what they say. Each vector is (3,padded), each number (padded,).
   AlignedFloats history, means, records, motion, log_squares, log_diagonals, inverse_squares, steps;
   std::vector<const float*> start_vectors, pass_vectors, start_scalars, pass_scalars;
-  GuideInputs inputs{};
   std::vector<float> lumped_masses, half_log_stiffness, nearness, fullness;
   std::vector<double> positions, start, inertial, saved, last;  // z, its first value, y, z before a step, u(t); (rows, 3)
-  std::vector<LaneSums> sums;
+  std::vector<LaneSums> lane_sums;
+  TeamBarrier barrier;  // of the threads that share a pass
+  int frames_alone = 0;
   Positions now, target;                                 // u(t), x(t+1), m
   Eigen::RowVector3d fall = Eigen::RowVector3d::Zero();  // of a free body in a frame, edges
   NewtonTets tet_frame{};
@@ -80,10 +100,20 @@ struct NewtonProblem {
 
  private:
   void arrange(const NewtonBody& body);
+  std::vector<double> arrange_edges(const std::vector<RowTet>& tets);
+  void arrange_parts(const std::vector<RowTet>& tets);
+  void arrange_slots(const std::vector<double>& neighbour_masses);
+  void fill_tets(const std::vector<RowTet>& slots);
+  struct FreeEdges {
+    Index begin, higher, end;
+  };
+  FreeEdges free_edges(std::int32_t row) const;
+  std::int32_t sum_place(std::int32_t row, std::int32_t other) const;
+  std::int32_t offset_row(std::int32_t row) const;
+  std::int32_t last_group(std::int32_t part) const;
   double sum(int which) const;
   void find_nearness(const NewtonBody& body);
-  void find_means();
-  void describe(const std::vector<const float*>& vectors, const std::vector<const float*>& scalars);
+  GuideInputs inputs_of(const std::vector<const float*>& vectors, const std::vector<const float*>& scalars) const;
 };
 
 }  // namespace followthrough

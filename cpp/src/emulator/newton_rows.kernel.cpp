@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Lanes are rows of the matrix, so that a product needs no sum across lanes.
+#include "emulator/block_lanes.hpp"
 #include "emulator/lane_algebra.hpp"
 #include "emulator/newton_kernel.hpp"
 
@@ -31,98 +32,128 @@ inline Symmetric inverse_of(const Symmetric& m) {
           xz * scale, (m.xy * m.xz - m.xx * m.yz) * scale};
 }
 
-// Adds up blocks of nine floats (a register may read beyond them) into a row of 16.
-inline void add_blocks(const float* shares, const std::int32_t* first, const std::int32_t* last, float* out) {
-  constexpr int registers = (9 + kLanes - 1) / kLanes;
-  Lanes sums[registers];
-  for (int k = 0; k < registers; ++k) sums[k] = broadcast(0.0f);
-  for (; first != last; ++first) {
-    for (int k = 0; k < registers; ++k) sums[k] = add(sums[k], load(shares + *first + k * kLanes));
-  }
-  for (int k = 0; k < registers; ++k) store(out + k * kLanes, sums[k]);
-}
-
-inline Triple gather_triple(const float* from, std::int32_t stride, const std::int32_t* index) {
-  return {{gather(from, index)}, {gather(from + stride, index)}, {gather(from + 2 * static_cast<std::int64_t>(stride), index)}};
-}
-
-// One group's blocks, from the tets' shares.
-inline void assemble_blocks(const NewtonRows& rows, std::int64_t group) {
-  float lanes[kGroup][kGroup], columns[kGroup][kGroup];
-  for (std::int64_t slot = rows.slot_starts[group]; slot < rows.slot_starts[group + 1]; ++slot) {
-    const std::int32_t* starts = rows.share_starts + slot * kGroup;
-    std::uint32_t turned = rows.slot_turned[slot];
-    for (int lane = 0; lane < kGroup; ++lane, turned >>= 1) {
-      float* row = lanes[lane];
-      add_blocks(rows.shares, rows.share_blocks + starts[lane], rows.share_blocks + starts[lane + 1], row);
-      if (turned & 1u) {
-        const float xy = row[1], xz = row[2], yz = row[5];
-        row[1] = row[3];
-        row[2] = row[6];
-        row[5] = row[7];
-        row[3] = xy;
-        row[6] = xz;
-        row[7] = yz;
-      }
-    }
-    transpose_group(lanes[0], kGroup, columns[0], kGroup);
-    float* out = rows.blocks + slot * 9 * kGroup;
-    const float* masses = rows.slot_masses + slot * kGroup;
-    for (int lane = 0; lane < kGroup; lane += kLanes) {
-      const Real mass = load_real(masses + lane);
-      for (int k = 0; k < 9; ++k) {
-        const Real value = load_real(&columns[k][lane]);
-        store(out + k * kGroup + lane, k % 4 == 0 ? value + mass : value);
-      }
-    }
+// The nine floats at each lane's place.
+inline void gather_blocks(const float* sums, const std::int32_t* places, Real (&nine)[kBlock]) {
+  for (int c = 0; c < kBlock; c += kLanes) {
+    Lanes tile[kLanes];
+    for (int k = 0; k < kLanes; ++k) tile[k] = load(sums + places[k] + c);
+    transpose_tile(tile);
+    for (int k = 0; k < kLanes && c + k < kBlock; ++k) nine[c + k] = {tile[k]};
   }
 }
+
+inline Triple gather_triple(const float* from, const std::int32_t* starts) {
+  Lanes components[3];
+  load_vectors(from, starts, components);
+  return {{components[0]}, {components[1]}, {components[2]}};
+}
+inline Triple load_vectors(const float* from) {
+  Lanes components[3];
+  load_vectors(from, components);
+  return {{components[0]}, {components[1]}, {components[2]}};
+}
+inline void store_vectors(float* to, Triple a) { store_vectors(to, {a.x.v, a.y.v, a.z.v}); }
+
+inline Triple times(Triple a, Triple b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
 
 // Adds masses times offsets of one kind of neighbours.
 inline Triple add_inertia(const NewtonRows& rows, const std::int32_t* columns, const float* masses, std::int64_t first,
                           std::int64_t last, int lane, Triple sum) {
   for (std::int64_t slot = first; slot < last; ++slot) {
-    const Triple offset = gather_triple(rows.offsets, rows.offset_stride, columns + slot * kGroup + lane);
+    const Triple offset = gather_triple(rows.offsets, columns + slot * kGroup + lane);
     sum = fma_of(offset, load_real(masses + slot * kGroup + lane), sum);
   }
   return sum;
 }
 
+template <typename Stored>
+inline void assemble_blocks(const NewtonRows& rows, Stored* blocks, std::int64_t first_group, std::int64_t last_group) {
+  const Real half = real(0.5f), one = real(kOne<Stored>);
+  for (std::int64_t group = first_group; group < last_group; ++group) {
+    for (int lane = 0; lane < kGroup; lane += kLanes) {
+      const Triple scale = load_vectors(rows.scales + 4 * (group * kGroup + lane));
+      const Real own[3] = {scale.x, scale.y, scale.z};
+      for (std::int64_t slot = rows.slot_starts[group]; slot < rows.slot_starts[group + 1]; ++slot) {
+        Real from[kBlock];
+        gather_blocks(rows.sums, rows.slot_places + slot * kGroup + lane, from);
+        const LaneMask turned = half < load_real(rows.slot_turned + slot * kGroup + lane);
+        const Real mass = load_real(rows.slot_masses + slot * kGroup + lane);
+        const Triple neighbour = gather_triple(rows.scales, rows.slot_columns + slot * kGroup + lane);
+        const Real others[3] = {neighbour.x, neighbour.y, neighbour.z};
+        Stored* out = blocks + slot * kBlock * kGroup + lane;
+        for (int k = 0; k < kBlock; ++k) {
+          const Real value = k % 4 == 0 ? from[k] + mass : choose(turned, from[k % 3 * 3 + k / 3], from[k]);
+          store_numbers(out + k * kGroup, (value * (own[k / 3] * others[k % 3]) * one).v);
+        }
+      }
+    }
+  }
+}
+
+template <typename Stored>
+inline void multiply_rows(const NewtonRows& rows, const Stored* blocks, std::int64_t first_group, std::int64_t last_group,
+                          LaneSums* sums) {
+  const Real unit = real(1.0f / kOne<Stored>);
+  for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = 0.0f;
+  for (std::int64_t group = first_group; group < last_group; ++group) {
+    const std::int64_t row = group * kGroup;
+    for (int lane = 0; lane < kGroup; lane += kLanes) {
+      Triple sum{real(0.0f), real(0.0f), real(0.0f)};
+      for (std::int64_t slot = rows.slot_starts[group]; slot < rows.slot_starts[group + 1]; ++slot) {
+        const Triple other = gather_triple(rows.direction, rows.slot_columns + slot * kGroup + lane);
+        const Stored* block = blocks + slot * kBlock * kGroup + lane;
+        Real* const parts[] = {&sum.x, &sum.y, &sum.z};
+        for (int k = 0; k < 3; ++k, block += 3 * kGroup) {
+          const Triple line{{load_numbers(block)}, {load_numbers(block + kGroup)}, {load_numbers(block + 2 * kGroup)}};
+          *parts[k] = fma_of(line.z, other.z, fma_of(line.y, other.y, fma_of(line.x, other.x, *parts[k])));
+        }
+      }
+      const Triple own = load_vectors(rows.direction + 4 * (row + lane));
+      const Triple d = load_triple(rows.diagonal + group * 3 * kGroup + lane, kGroup);  // xy xz yz
+      const Triple product = fma_of(sum, unit,
+                                    {fma_of(d.y, own.z, fma_of(d.x, own.y, own.x)), fma_of(d.z, own.z, fma_of(d.x, own.x, own.y)),
+                                     fma_of(d.z, own.y, fma_of(d.y, own.x, own.z))});
+      store(rows.product + row + lane, rows.padded, product);
+      store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(own, product));
+    }
+  }
+}
+
 }  // namespace
 
 void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept {
-  float lanes[kGroup][kGroup], columns[kGroup][kGroup];
+  const Real zero = real(0.0f), one = real(1.0f);
+  const Triple none{zero, zero, zero};
   for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = sums->sums[1][lane] = sums->sums[2][lane] = 0.0f;
   for (std::int64_t group = first_group; group < last_group; ++group) {
-    assemble_blocks(rows, group);
     const std::int64_t row = group * kGroup;
-    for (int lane = 0; lane < kGroup; ++lane) {
-      const std::int32_t* starts = rows.tet_starts + row + lane;
-      add_blocks(rows.shares, rows.tet_blocks + starts[0], rows.tet_blocks + starts[1], lanes[lane]);
-    }
-    transpose_group(lanes[0], kGroup, columns[0], kGroup);
     for (int lane = 0; lane < kGroup; lane += kLanes) {
-      Symmetric d = load_symmetric(&columns[0][lane]);
+      Real own[kBlock];
+      gather_blocks(rows.sums, rows.row_places + row + lane, own);
       const Real mass = load_real(rows.masses + row + lane);
-      d.xx = d.xx + mass;
-      d.yy = d.yy + mass;
-      d.zz = d.zz + mass;
-      const Symmetric inverse = inverse_of(d);
-      store(rows.diagonal + group * 6 * kGroup + lane, d);
+      const Triple d{own[0] + mass, own[1] + mass, own[2] + mass};
+      const Triple scale{one / root(d.x), one / root(d.y), one / root(d.z)};
+      const Symmetric scaled{
+          one, one, one, own[3] * (scale.x * scale.y), own[4] * (scale.x * scale.z), own[5] * (scale.y * scale.z)};
+      const Symmetric inverse = inverse_of(scaled);
+      store_vectors(rows.scales + 4 * (row + lane), scale);
+      store(rows.traces + row + lane, d.x + d.y + d.z);
+      store(rows.diagonal + group * 3 * kGroup + lane, kGroup, Triple{scaled.xy, scaled.xz, scaled.yz});
       store(rows.inverse + group * 6 * kGroup + lane, inverse);
-      const Real zero = real(0.0f);
-      const Triple none{zero, zero, zero}, offset = load_triple(rows.offsets + row + lane, rows.offset_stride);
+      const Triple offset = load_vectors(rows.offsets + 4 * (row + lane));
       const Triple inertia = add_inertia(rows, rows.slot_columns, rows.slot_masses, rows.slot_starts[group],
                                          rows.slot_starts[group + 1], lane, offset * mass);
       const Triple border = add_inertia(rows, rows.border_columns, rows.border_masses, rows.border_starts[group],
                                         rows.border_starts[group + 1], lane, none);
-      const Triple force = load_triple(&columns[6][lane], kGroup) + inertia + border;
-      const Triple residual = none - force, first = inverse * residual;
+      const Triple force = Triple{own[6], own[7], own[8]} + inertia + border;
+      const Triple residual = times(none - force, scale), next = inverse * residual;
+      const Triple first = times(next, scale);
+      store(rows.first + row + lane, rows.padded, first);
       store(rows.residual + row + lane, rows.padded, residual);
-      store(rows.preconditioned + row + lane, rows.padded, first);
-      store(rows.direction + row + lane, rows.padded, first);
+      store(rows.preconditioned + row + lane, rows.padded, next);
+      store_vectors(rows.direction + 4 * (row + lane), next);
       store(rows.solution + row + lane, rows.padded, none);
-      store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(residual, first));
+      store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(residual, next));
       store(&sums->sums[1][lane], load_real(&sums->sums[1][lane]) + dot(first, first));
       // Between free vertices every product is met from either side.
       store(&sums->sums[2][lane], load_real(&sums->sums[2][lane]) + dot(offset, fma_of(inertia, real(0.5f), border)));
@@ -130,42 +161,36 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
   }
 }
 
+void assemble_blocks(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept {
+  if (rows.coarse_blocks) {
+    assemble_blocks(rows, rows.coarse_blocks, first_group, last_group);
+  } else {
+    assemble_blocks(rows, rows.blocks, first_group, last_group);
+  }
+}
+
 void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept {
-  for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = 0.0f;
-  for (std::int64_t group = first_group; group < last_group; ++group) {
-    const std::int64_t row = group * kGroup;
-    for (int lane = 0; lane < kGroup; lane += kLanes) {
-      const Triple own = load_triple(rows.direction + row + lane, rows.padded);
-      Triple sum = load_symmetric(rows.diagonal + group * 6 * kGroup + lane) * own;
-      for (std::int64_t slot = rows.slot_starts[group]; slot < rows.slot_starts[group + 1]; ++slot) {
-        const Triple other = gather_triple(rows.direction, rows.padded, rows.slot_columns + slot * kGroup + lane);
-        const float* block = rows.blocks + slot * 9 * kGroup + lane;
-        Real* const parts[] = {&sum.x, &sum.y, &sum.z};
-        for (int k = 0; k < 3; ++k) {
-          const Triple line = load_triple(block + 3 * k * kGroup, kGroup);
-          *parts[k] = fma_of(line.z, other.z, fma_of(line.y, other.y, fma_of(line.x, other.x, *parts[k])));
-        }
-      }
-      store(rows.product + row + lane, rows.padded, sum);
-      store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(own, sum));
-    }
+  if (rows.coarse_blocks) {
+    multiply_rows(rows, rows.coarse_blocks, first_group, last_group, sums);
+  } else {
+    multiply_rows(rows, rows.blocks, first_group, last_group, sums);
   }
 }
 
 void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group, std::int32_t last_group,
                   LaneSums* sums) noexcept {
-  for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = 0.0f;
+  for (int lane = 0; lane < kGroup; ++lane) sums->sums[1][lane] = 0.0f;
   const Real step = real(length), back = real(-length);
   for (std::int64_t group = first_group; group < last_group; ++group) {
     for (int lane = 0; lane < kGroup; lane += kLanes) {
       const std::int64_t row = group * kGroup + lane;
       store(rows.solution + row, rows.padded,
-            fma_of(load_triple(rows.direction + row, rows.padded), step, load_triple(rows.solution + row, rows.padded)));
+            fma_of(load_vectors(rows.direction + 4 * row), step, load_triple(rows.solution + row, rows.padded)));
       const Triple left = fma_of(load_triple(rows.product + row, rows.padded), back, load_triple(rows.residual + row, rows.padded));
       const Triple next = load_symmetric(rows.inverse + group * 6 * kGroup + lane) * left;
       store(rows.residual + row, rows.padded, left);
       store(rows.preconditioned + row, rows.padded, next);
-      store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(left, next));
+      store(&sums->sums[1][lane], load_real(&sums->sums[1][lane]) + dot(left, next));
     }
   }
 }
@@ -173,8 +198,16 @@ void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group
 void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, std::int32_t last_group) noexcept {
   const Real part = real(share);
   for (std::int64_t row = std::int64_t{first_group} * kGroup; row < std::int64_t{last_group} * kGroup; row += kLanes) {
-    store(rows.direction + row, rows.padded,
-          fma_of(load_triple(rows.direction + row, rows.padded), part, load_triple(rows.preconditioned + row, rows.padded)));
+    const Triple turned = fma_of(load_vectors(rows.direction + 4 * row), part, load_triple(rows.preconditioned + row, rows.padded));
+    store_vectors(rows.direction + 4 * row, turned);
+  }
+}
+
+void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept {
+  for (std::int64_t row = std::int64_t{first_group} * kGroup; row < std::int64_t{last_group} * kGroup; row += kLanes) {
+    const Triple scale = load_vectors(rows.scales + 4 * row);
+    store(rows.solution + row, rows.padded, times(load_triple(rows.solution + row, rows.padded), scale));
+    store(rows.preconditioned + row, rows.padded, times(load_triple(rows.preconditioned + row, rows.padded), scale));
   }
 }
 

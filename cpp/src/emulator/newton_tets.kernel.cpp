@@ -2,8 +2,9 @@
 // F is the deformation gradient, A its cofactors, J its determinant, E = (F^T F - 1) / 2, S = 2 mu E + lambda tr(E) 1, g a corner's
 // gradient. The force on a corner is volume (F S + pressure A) g; the stiffness between two, made convex, is volume times
 // share (g_a . S g_b) 1 + mu ((g_a . g_b) F F^T + F g_b (F g_a)^T) + lambda F g_a (F g_b)^T + bulk A g_a (A g_b)^T, where the share
-// is 1 if S is positive definite and 0 if not. The energy is volume times E : S / 2 + resistance ((1 - J) / 12)^3, and below the clamp
-// what the clamped stress does from there.
+// is 1 if S is positive definite and 0 if not. The energy is volume times E : S / 2 + resistance ((1 - J) / 12)^3, and below the
+// clamp what the clamped stress does from there.
+#include "emulator/block_lanes.hpp"
 #include "emulator/lane_algebra.hpp"
 #include "emulator/newton_kernel.hpp"
 
@@ -23,8 +24,8 @@ inline void load_edges(const double* positions, const std::int32_t* corners, flo
   }
 }
 
-// F into the rows 0 to 8 of f; clamped where the test cannot say that all stretches are far above the clamp. What the clamp took off is
-// in `below`, where it returns that there is any.
+// F into the rows 0 to 8 of f; clamped where the test cannot say that all stretches are far above the clamp. What the clamp took
+// off is in `below`, where it returns that there is any.
 inline bool deformation_gradients(const NewtonTets& tets, std::int64_t group, float (*f)[kGroup], float (*below)[kGroup]) {
   bool any = false;
   float edges[9][kGroup];
@@ -131,14 +132,24 @@ inline void shares_of(const NewtonTets& tets, std::int64_t group, const float (*
 
 }  // namespace
 
-void tet_shares(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept {
-  float lanes[kTetShare][kGroup] = {}, gradient[9][kGroup], below[9][kGroup];
+void add_tets(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept {
+  constexpr int shares = (kTetBlocks * kBlock + kGroup - 1) / kGroup * kGroup;
+  float lanes[shares][kGroup] = {}, gradient[9][kGroup], below[9][kGroup], rows[kGroup][shares];
   for (std::int64_t group = first_group; group < last_group; ++group) {
     const bool any_below = deformation_gradients(tets, group, gradient, below);
     shares_of(tets, group, gradient, any_below ? below : nullptr, lanes);
-    float* out = tets.shares + group * kGroup * kTetShare;
-    for (int c = 0; c < kTetShare; c += kGroup) transpose_group(lanes[c], kGroup, out + c, kTetShare);
+    for (int c = 0; c < shares; c += kGroup) transpose_group(lanes[c], kGroup, &rows[0][c], shares);
+    const std::int32_t* place = tets.places + group * kGroup * kTetBlocks;
+    for (int lane = 0; lane < kGroup; ++lane) {
+      for (int block = 0; block < kTetBlocks; ++block, ++place) {
+        add_block(tets.sums + *place, &rows[lane][kBlock * block]);
+      }
+    }
   }
+}
+
+void add_blocks(const std::int32_t* places, std::int32_t pairs, float* sums) noexcept {
+  for (std::int32_t k = 0; k < pairs; ++k, places += 2) add_block(sums + places[0], sums + places[1]);
 }
 
 }  // namespace followthrough::FOLLOWTHROUGH_ISA

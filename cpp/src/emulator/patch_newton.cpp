@@ -17,7 +17,6 @@
 #include "emulator/packed_layers.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
-#include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
@@ -27,8 +26,8 @@ constexpr double nothing_left = 1e-7;
 // Root mean square of the first step, in edges, from which on the tolerance is as it is given: calmer frames are solved as exactly
 // in proportion, so that what comes to rest does.
 constexpr double lively_step = 0.1;
-// Share of the predicted decrease of the energy that a step along the direction must bring (Armijo), and the energy's round-off: of what
-// is hardly strained, whose residual tells more, and of all else.
+// Share of the predicted decrease of the energy that a step along the direction must bring (Armijo), and the energy's round-off: of
+// what is hardly strained, whose residual tells more, and of all else.
 constexpr double sufficient_decrease = 1e-4, rounding_near = 1e-4, rounding_far = 1e-6;
 // How often a pass's step is taken again, shorter.
 constexpr int most_retries = 6;
@@ -180,19 +179,26 @@ PatchNewton::Parts::Parts(const NewtonBody& body, const NewtonSchedule& schedule
 }
 
 void PatchNewton::Parts::take_guided_step(const PackedGuide& guide, bool of_pass) {
-  if (of_pass) {
-    problem.describe_pass();
-  } else {
-    problem.describe_start();
-  }
   const auto kernel = guide_kernel();
   const GuideKernel network{guide.kernels.data(), static_cast<std::int32_t>(guide.kernels.size()), guide.widest};
-  const int threads = std::min(worthwhile_threads(problem.groups, guide.cost * 0.8), static_cast<int>(scratch.size()));
-#pragma omp parallel for schedule(static) num_threads(threads)
-  for (std::int32_t group = 0; group < problem.groups; ++group) {
-    kernel(problem.inputs, network, group, group + 1, scratch[static_cast<std::size_t>(omp_get_thread_num())].data());
+  const GuideInputs inputs = of_pass ? problem.pass_inputs() : problem.start_inputs();
+  const int threads = std::min(problem.threads(30.0 + 0.03 * guide.cost), static_cast<int>(scratch.size()));
+#pragma omp parallel num_threads(threads)
+  {
+    if (of_pass) {
+      const TeamShare rows(problem.row_count);
+      for (std::int32_t row = rows.first; row < rows.last; ++row) problem.record(row);
+      problem.barrier.wait();
+    }
+    float* const room = scratch[static_cast<std::size_t>(omp_get_thread_num())].data();
+    const TeamShare groups(problem.groups);
+    for (std::int32_t group = groups.first; group < groups.last; ++group) {
+      problem.describe(inputs, group);
+      kernel(inputs, network, group, group + 1, room);
+      problem.move_group(inputs.steps, group);
+    }
   }
-  problem.move(problem.steps.data(), of_pass);
+  problem.have_moved(inputs.steps, of_pass);
 }
 
 // The step that has been taken, as a share of its direction instead.
@@ -202,9 +208,9 @@ double PatchNewton::Parts::retake(double share) {
   return problem.assemble();
 }
 
-// Evaluates the estimate. Guides are mostly right, and nothing says that they always are: a step that does not bring the energy down
-// is not kept. The direction does, or a part of it, or, where compression makes the energy a cubic, more than all of it. Guides
-// have no say any more in such a frame.
+// Evaluates the estimate. Guides are mostly right, and nothing says that they always are: a step that does not bring the energy
+// down is not kept. The direction does, or a part of it, or, where compression makes the energy a cubic, more than all of it.
+// Guides have no say any more in such a frame.
 double PatchNewton::Parts::evaluate() {
   double left = problem.assemble();
   if (!taken) return left;

@@ -14,6 +14,7 @@ from followthrough.cli import solver_options
 from followthrough.cli.progress import with_progress
 from followthrough.evaluation import Scores, evaluate
 from followthrough.sequences import Sequence
+from followthrough.settings import default_solver
 
 
 def add_parser(subparsers: Any) -> None:
@@ -26,7 +27,7 @@ def add_parser(subparsers: Any) -> None:
         "(the first 24, 48 and all frames), the elastic energy in J, and the time.",
     )
     parser.add_argument("sequence", metavar="SEQ.npz", type=Path, help="sequence file with the true motion")
-    solver_options.add_arguments(parser)
+    solver_options.add_arguments(parser, default_solver())
     parser.add_argument("--json", action="store_true", help="print one JSON object; infinite scores are null")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 

@@ -33,6 +33,7 @@ from followthrough.springs import Springs
 
 if TYPE_CHECKING:
     from followthrough.sequences import Sequence
+    from followthrough.settings import SolverName
     from followthrough.solver import Solver
 
 #: Options of the static equilibria that springs may hang on.
@@ -47,13 +48,19 @@ OPTIONS = {
     "quasistatic": LAYER_OPTIONS,
 }
 
+#: Options that tell which solver is meant where none is named.
+_TELLING = {"emulator": ("weights",), "springs": ("springs", "stiffness", "damping", "over")}
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add them to a command."""
+
+def add_arguments(parser: argparse.ArgumentParser, default: SolverName = "springs") -> None:
+    """Add them to a command that runs a solver where none is named."""
+    parser.set_defaults(default_solver=default)
+    usual = "springs (default)" if default == "springs" else "springs (default where one of their options is given)"
+    whose = "default where --weights is given" if default == "springs" else "default"
     parser.add_argument(
         "--solver",
         metavar="NAME",
-        help="springs (default), emulator (default where --weights is given), or finite elements of the sequence's own material: "
+        help=f"{usual}, emulator ({whose}), or finite elements of the sequence's own material: "
         "implicit-euler, central-differences, or quasistatic (no motion of its own: every frame rests in its pose)",
     )
     springs = parser.add_argument_group("springs")
@@ -179,7 +186,10 @@ def check(args: argparse.Namespace) -> None:
         Naming the option.
     """
     if args.solver is None:
-        args.solver = "springs" if args.weights is None else "emulator"
+        asked_for = [
+            name for name in ("emulator", "springs") if any(getattr(args, key) is not None for key in _TELLING[name])
+        ]
+        args.solver = (asked_for or [args.default_solver])[0]
     over = OPTIONS[args.over] if args.solver == "springs" and args.over is not None else ()
     check_owners(args, OPTIONS | {"springs": OPTIONS["springs"] + over})
     if args.springs is not None and (args.stiffness is not None or args.damping is not None):

@@ -127,18 +127,24 @@ class PlainNewton {
                {w, a, s, x1 - 2 * x0 + u[5], u[0] - 3 * u[1] + 3 * u[2] - u[3], x0 - 2 * u[5] + u[6], means(w), means(a), means(s)},
                [&](Index v) -> std::vector<double> { return {nearness(v), log_modulus(v), fullness(v)}; });
     Positions last = Positions::Zero(z_.rows(), 3);
+    bool led = true;
     for (int k = 0; k < schedule_.most_passes; ++k) {
       const NewtonPass& pass = schedule_.passes[std::min(static_cast<std::size_t>(k), schedule_.passes.size() - 1)];
       assemble();
       solve(pass.iterations);
-      if (pass.guide.empty()) {
+      if (pass.guide.empty() || !led) {
         last = g_;
       } else {
         last = guided(pass.guide, {g_, p_, l_, last, means(g_), means(l_)}, [&](Index v) -> std::vector<double> {
           return {0.5 * std::log(diagonal(v).trace() / 3 / lumped_[v]), log_modulus(v), nearness(v), fullness(v)};
         });
       }
-      z_ += last;
+      const double share = keep(last, led && !pass.guide.empty());
+      if (share == 0) break;
+      if (share > 0) {
+        led = false;
+        last = share * g_;
+      }
     }
     Positions next = z_ * length_;
     for (Eigen::Index v = 0; v < next.rows(); ++v) {
@@ -147,6 +153,8 @@ class PlainNewton {
     u_ = {next, u_[0], u_[1], u_[2], reference, u_[4], u_[5]};
     return u_[0];
   }
+
+  int not_kept = 0;  ///< steps that did not bring the energy down
 
  private:
   struct Tet {
@@ -186,6 +194,7 @@ class PlainNewton {
   void assemble() {
     const Eigen::Index n = z_.rows();
     gradient_ = masses_ * (z_ - y_);
+    energy_ = 0.5 * gradient_.cwiseProduct(z_ - y_).sum();
     tangent_ = Eigen::MatrixXd::Zero(3 * n, 3 * n);
     for (Eigen::Index a = 0; a < n; ++a) {
       for (Eigen::Index b = 0; b < n; ++b) tangent_.block<3, 3>(3 * a, 3 * b) += masses_(a, b) * Eigen::Matrix3d::Identity();
@@ -198,6 +207,9 @@ class PlainNewton {
       const Eigen::Matrix3d s = 2 * tet.mu * strain + tet.lambda * strain.trace() * one;
       const double gap = std::max(1 - f.determinant(), 0.0);
       const double pressure = -tet.resistance * gap * gap / 576, bulk = tet.resistance * gap / 288;
+      const Eigen::Matrix3d below = p.u * (p.stretches - p.stretches.cwiseMax(0.1)).asDiagonal() * p.v.transpose();
+      energy_ += tet.volume * (0.5 * strain.cwiseProduct(s).sum() + tet.resistance * std::pow(gap / 12, 3) +
+                               (f * s + pressure * a).cwiseProduct(below).sum());
       const bool stretched = s(0, 0) > 0 && s.topLeftCorner<2, 2>().determinant() > 0 && s.determinant() > 0;
       for (int i = 0; i < 4; ++i) {
         const Eigen::Vector3d gi = tet.gradients.col(i);
@@ -212,6 +224,47 @@ class PlainNewton {
         }
       }
     }
+    left_ = 0;
+    for (const Index v : free_) left_ += (diagonal(v).inverse() * gradient_.row(v).transpose()).squaredNorm();
+    left_ = std::sqrt(left_ / (3.0 * static_cast<double>(free_.size())));
+  }
+
+  // Moves by a step if that brings the energy down, else by a share of the direction. Returns that share; -1: the step was kept.
+  double keep(const Positions& step, bool of_guide) {
+    const Positions start = z_, direction = g_;
+    const double energy = energy_, left = left_, slope = slope_;
+    const auto move = [&](const Positions& by) {
+      z_ = start + by;
+      assemble();
+    };
+    const auto good = [&](double share) {
+      return energy_ <= energy + 1e-4 * share * slope + (left_ < left ? 1e-4 : 1e-6) * std::abs(energy);
+    };
+    move(step);
+    double share = of_guide ? 0 : 1;
+    if (good(share)) return -1;
+    ++not_kept;
+    for (int retry = 0; retry < 6; ++retry) {
+      const double least = -0.5 * slope * share * share / (energy_ - energy - slope * share);
+      share = share == 0 ? 1 : std::isfinite(least) ? std::clamp(least, 0.1 * share, 0.5 * share) : 0.1 * share;
+      move(share * direction);
+      if (!good(share)) continue;
+      const double slope_there = gradient_.cwiseProduct(direction).sum();
+      if (share == 1 && slope_there < 0.1 * slope) {
+        // The cubic through both energies and slopes.
+        const double there = energy_, bend = slope + slope_there - 3 * (there - energy);
+        const double root = std::sqrt(bend * bend - slope * slope_there);
+        const double farther = 1 - (slope_there + root - bend) / (slope_there - slope + 2 * root);
+        if (farther > 1) {
+          share = std::clamp(farther, 1.2, 3.0);
+          move(share * direction);
+          if (!(energy_ < there)) move((share = 1) * direction);
+        }
+      }
+      return share;
+    }
+    move(0 * direction);
+    return 0;
   }
 
   Eigen::Matrix3d diagonal(Index v) const { return tangent_.block<3, 3>(3 * v, 3 * v); }
@@ -228,6 +281,7 @@ class PlainNewton {
         matrix.block<3, 3>(3 * a, 3 * b) = tangent_.block<3, 3>(3 * v, 3 * free_[static_cast<std::size_t>(b)]);
       }
     }
+    const Vector before = r;
     for (Positions* channel : {&g_, &p_, &l_}) *channel = Positions::Zero(z_.rows(), 3);
     Vector x = Vector::Zero(3 * f), s = inverse * r, p = s;
     const Vector first = s;
@@ -249,6 +303,7 @@ class PlainNewton {
       p_.row(v) = first.segment<3>(3 * a).transpose();
       l_.row(v) = s.segment<3>(3 * a).transpose();
     }
+    slope_ = -before.dot(x);
   }
 
   double nearness(Index v) const { return 1.0 / (1.0 + hops_[static_cast<std::size_t>(v)]); }
@@ -305,6 +360,7 @@ class PlainNewton {
   std::vector<int> hops_;
   std::vector<Positions> u_;  // u(t) to u(t-3), x(t) to x(t-2)
   Positions y_, z_, gradient_, g_, p_, l_;
+  double energy_ = 0, left_ = 0, slope_ = 0;
 };
 
 }  // namespace followthrough
