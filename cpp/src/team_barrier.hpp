@@ -7,8 +7,8 @@
 #include <omp.h>
 
 #include <atomic>
-#include <condition_variable>
-#include <mutex>
+#include <chrono>
+#include <thread>
 
 namespace followthrough {
 
@@ -21,38 +21,29 @@ class TeamBarrier {
     const unsigned round = round_.load(std::memory_order_relaxed);
     if (arrived_.fetch_add(1, std::memory_order_acq_rel) + 1 == team) {
       arrived_.store(0, std::memory_order_relaxed);
-      const std::lock_guard lock(mutex_);
-      ++rounds_;
       round_.store(round + 1, std::memory_order_release);
-      if (sleepers_ > 0) woken_.notify_all();
       return;
     }
     const auto is_over = [&] { return round_.load(std::memory_order_acquire) != round; };
     for (int tries = 0; tries < patience; ++tries) {
       if (is_over()) return;
     }
-    std::unique_lock lock(mutex_);
-    ++sleepers_;
-    ++sleeps_;
-    woken_.wait(lock, is_over);
-    --sleepers_;
+    const auto since = std::chrono::steady_clock::now();
+    while (!is_over()) std::this_thread::yield();
+    if (std::chrono::steady_clock::now() - since > long_wait) long_waits_.fetch_add(1, std::memory_order_relaxed);
   }
 
-  /// Whether, since the last call, threads have waited long for each other so often that one alone would have been sooner: they had
-  /// no processor each. Not to be called in a parallel region.
-  bool was_crowded() noexcept {
-    const bool crowded = sleeps_ > rounds_ / 8 + 8;
-    sleeps_ = rounds_ = 0;
-    return crowded;
-  }
+  /// Whether threads have waited long for each other so often since `forget` that one alone would have been sooner: they have no
+  /// processor each.
+  bool crowded() const noexcept { return long_waits_.load(std::memory_order_relaxed) > tolerated_waits; }
+  void forget() noexcept { long_waits_.store(0, std::memory_order_relaxed); }
 
  private:
   static constexpr int patience = 5000;  // microseconds: on an idle machine the others are there by then
-  std::atomic<int> arrived_{0};
+  static constexpr int tolerated_waits = 8;
+  static constexpr std::chrono::microseconds long_wait{500};
+  std::atomic<int> arrived_{0}, long_waits_{0};
   std::atomic<unsigned> round_{0};
-  std::mutex mutex_;
-  std::condition_variable woken_;
-  int sleepers_ = 0, sleeps_ = 0, rounds_ = 0;
 };
 
 /// The thread's share of `count` items, [first, last): the same items every time, so that they stay in its processor's caches.

@@ -27,8 +27,8 @@ constexpr double smallest_stretch = 0.1;
 // Share of the cube over the longest edge below which a tet has no volume.
 constexpr double smallest_volume = 1e-14;
 constexpr double solver_tolerance = 0.003;
-// Frames that one thread does after threads have been in each other's way.
-constexpr int most_frames_alone = 100;
+// Frames that one thread does after threads have been in each other's way: twice as many each time, until they are not.
+constexpr int fewest_frames_alone = 64, most_frames_alone = 512;
 // Groups of 16 rows in a part: fixed, so that sums do not depend on threads.
 constexpr std::int32_t part_groups = 16;
 constexpr std::int32_t part_rows = part_groups * kNewtonGroup;
@@ -536,13 +536,21 @@ double NewtonProblem::sum(int which) const {
   return total;
 }
 
-// As many as are worthwhile, but one where more have just been in each other's way. Results are the same.
+// As many as are worthwhile, but one where more are in each other's way. Results are the same.
 int NewtonProblem::threads(double nanoseconds_a_row) const {
-  return frames_alone > 0 ? 1 : worthwhile_threads(padded, nanoseconds_a_row);
+  return frames_alone > 0 || barrier.crowded() ? 1 : worthwhile_threads(padded, nanoseconds_a_row);
 }
 
 void NewtonProblem::begin(const NewtonHistory& h) {
-  frames_alone = barrier.was_crowded() ? most_frames_alone : std::max(frames_alone - 1, 0);
+  if (barrier.crowded()) {
+    frames_alone = next_frames_alone;
+    next_frames_alone = std::min(2 * next_frames_alone, most_frames_alone);
+  } else if (frames_alone > 0) {
+    --frames_alone;
+  } else {
+    next_frames_alone = fewest_frames_alone;
+  }
+  barrier.forget();
 #pragma omp parallel for schedule(static) num_threads(threads(30.0))
   for (std::int32_t row = 0; row < row_count; ++row) {
     const Index v = vertices[size(row)];

@@ -89,7 +89,7 @@ struct NewtonProblem {
   std::vector<double> positions, start, inertial, saved, last;  // z, its first value, y, z before a step, u(t); (rows, 3)
   std::vector<LaneSums> lane_sums;
   TeamBarrier barrier;  // of the threads that share a pass
-  int frames_alone = 0;
+  int frames_alone = 0, next_frames_alone = 0;
   Positions now, target;                                 // u(t), x(t+1), m
   Eigen::RowVector3d fall = Eigen::RowVector3d::Zero();  // of a free body in a frame, edges
   NewtonTets tet_frame{};
