@@ -29,6 +29,9 @@ constexpr double lively_step = 0.1;
 // Share of the predicted decrease of the energy that a step along the direction must bring (Armijo), and the energy's round-off: of
 // what is hardly strained, whose residual tells more, and of all else.
 constexpr double sufficient_decrease = 1e-4, rounding_near = 1e-4, rounding_far = 1e-6;
+// How much a guide's step may raise the energy, over its slope along the direction. Guides reach farther than truncated conjugate
+// gradients do, and leave ripples that the next pass smooths.
+constexpr double tolerated_rise = 1.0;
 // How often a pass's step is taken again, shorter.
 constexpr int most_retries = 6;
 // Bounds of how much shorter.
@@ -105,7 +108,8 @@ struct TakenStep {
 
   bool good(double energy_there, double left_there) const {
     const double rounding = left_there < left ? rounding_near : rounding_far;
-    return energy_there <= energy + sufficient_decrease * share * slope + rounding * std::abs(energy);
+    const double change = share > 0.0 ? sufficient_decrease * share * slope : -tolerated_rise * slope;
+    return energy_there <= energy + change + rounding * std::abs(energy);
   }
   // Where the parabola through what is known of a share is least.
   double shorter_share(double energy_there) const {
@@ -142,6 +146,7 @@ struct PatchNewton::Parts {
   Parts(const NewtonBody& body, const NewtonSchedule& schedule);
   void take_guided_step(const PackedGuide& guide, bool of_pass);
   double retake(double share);
+  double lengthen(double left);
   double evaluate();
   void take_passes(int count, const PackedPass* first, std::size_t different, double enough);
   void solve_frame(ConstPositions reference);
@@ -158,7 +163,6 @@ struct PatchNewton::Parts {
   std::array<Positions, 3> reference;  // x(t), x(t-1), x(t-2)
   Positions next;                      // u(t+1)
   std::optional<TakenStep> taken;      // not evaluated yet
-  bool guided;                         // until a guide leads a frame astray
   std::int64_t frames = -1;            // since the reset; -1: never reset
 };
 
@@ -208,9 +212,19 @@ double PatchNewton::Parts::retake(double share) {
   return problem.assemble();
 }
 
-// Evaluates the estimate. Guides are mostly right, and nothing says that they always are: a step that does not bring the energy
-// down is not kept. The direction does, or a part of it, or, where compression makes the energy a cubic, more than all of it.
-// Guides have no say any more in such a frame.
+// The whole direction has been taken: takes more of it where the energy is still falling there.
+double PatchNewton::Parts::lengthen(double left) {
+  const double energy = problem.energy, slope = problem.slope_along_saved();
+  if (!(slope < still_falling * taken->slope)) return left;
+  const double farther = cubic_minimum(taken->energy, taken->slope, energy, slope);
+  if (!(farther > 1.0)) return left;
+  left = retake(std::clamp(farther, least_lengthening, greatest_lengthening));
+  return problem.energy < energy ? left : retake(1.0);
+}
+
+// Evaluates the estimate. Guides are mostly right, and nothing says that they always are: where a step makes the energy worse the
+// direction is taken, or the part of it that brings the energy down, or, where compression makes the energy a cubic, more than all
+// of it.
 double PatchNewton::Parts::evaluate() {
   double left = problem.assemble();
   if (!taken) return left;
@@ -223,17 +237,8 @@ double PatchNewton::Parts::evaluate() {
       return 0.0;
     }
     left = retake(taken->share > 0.0 ? taken->shorter_share(problem.energy) : 1.0);
-    guided = false;
   }
-  const double slope_there = problem.slope_along_saved();
-  if (retries > 0 && taken->share == 1.0 && slope_there < still_falling * taken->slope) {
-    const double energy = problem.energy;
-    const double farther = cubic_minimum(taken->energy, taken->slope, energy, slope_there);
-    if (farther > 1.0) {
-      left = retake(std::clamp(farther, least_lengthening, greatest_lengthening));
-      if (!(problem.energy < energy)) left = retake(1.0);
-    }
-  }
+  if (retries > 0 && taken->share == 1.0) left = lengthen(left);
   taken.reset();
   return left;
 }
@@ -247,11 +252,11 @@ void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::si
     problem.solve(pass.iterations);
     problem.save();
     taken = TakenStep{problem.energy, left, problem.slope, 1.0};
-    if (guided && !pass.guide.layers.empty()) {
+    if (pass.guide.layers.empty()) {
+      problem.move_along_direction();
+    } else {
       taken->share = 0.0;
       take_guided_step(pass.guide, true);
-    } else {
-      problem.move_along_direction();
     }
   }
 }
@@ -259,7 +264,6 @@ void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::si
 void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
   problem.begin({{dynamic[0], dynamic[1], dynamic[2], dynamic[3]}, {next_reference, reference[0], reference[1], reference[2]}});
   taken.reset();
-  guided = true;
   take_guided_step(start, false);
   double square = 0;
   for (int k = 0; k < 3; ++k) {

@@ -142,7 +142,7 @@ TEST_CASE("a body so large that its matrix is kept in 16 bits moves as each of t
   }
 }
 
-TEST_CASE("a guide's step that does not bring the energy down is not kept, with every instruction set") {
+TEST_CASE("a guide's step that makes the energy worse is not kept, with every instruction set") {
   const Usual usual;
   const NewtonBody body = bent_block(4, 2, 2);
   // Guides that go far too far, from a start as usual.

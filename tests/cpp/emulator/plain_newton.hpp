@@ -127,24 +127,20 @@ class PlainNewton {
                {w, a, s, x1 - 2 * x0 + u[5], u[0] - 3 * u[1] + 3 * u[2] - u[3], x0 - 2 * u[5] + u[6], means(w), means(a), means(s)},
                [&](Index v) -> std::vector<double> { return {nearness(v), log_modulus(v), fullness(v)}; });
     Positions last = Positions::Zero(z_.rows(), 3);
-    bool led = true;
     for (int k = 0; k < schedule_.most_passes; ++k) {
       const NewtonPass& pass = schedule_.passes[std::min(static_cast<std::size_t>(k), schedule_.passes.size() - 1)];
       assemble();
       solve(pass.iterations);
-      if (pass.guide.empty() || !led) {
+      if (pass.guide.empty()) {
         last = g_;
       } else {
         last = guided(pass.guide, {g_, p_, l_, last, means(g_), means(l_)}, [&](Index v) -> std::vector<double> {
           return {0.5 * std::log(diagonal(v).trace() / 3 / lumped_[v]), log_modulus(v), nearness(v), fullness(v)};
         });
       }
-      const double share = keep(last, led && !pass.guide.empty());
+      const double share = keep(last, !pass.guide.empty());
       if (share == 0) break;
-      if (share > 0) {
-        led = false;
-        last = share * g_;
-      }
+      if (share > 0) last = share * g_;
     }
     Positions next = z_ * length_;
     for (Eigen::Index v = 0; v < next.rows(); ++v) {
@@ -238,7 +234,7 @@ class PlainNewton {
       assemble();
     };
     const auto good = [&](double share) {
-      return energy_ <= energy + 1e-4 * share * slope + (left_ < left ? 1e-4 : 1e-6) * std::abs(energy);
+      return energy_ <= energy + (share > 0 ? 1e-4 * share : -1.0) * slope + (left_ < left ? 1e-4 : 1e-6) * std::abs(energy);
     };
     move(step);
     double share = of_guide ? 0 : 1;
