@@ -127,11 +127,10 @@ PackedNetwork::PackedNetwork(const PatchNetwork& network, Precision precision)
 }
 
 std::size_t PackedNetwork::scratch_size() const {
-  const int other = joined_width_ + padded_width(feature_count());
-  return static_cast<std::size_t>(precision_ == Precision::float32
-                                      ? kBlockRows * (3 * widest_ + other)
-                                      : kTileBlockRows * (2 * widest_ + joined_width_ * 3 / 2 + other) +
-                                            kTileEdgeRows * (widest_ + kTilePanel));
+  const int row = 3 * widest_ + joined_width_ + padded_width(feature_count());
+  const int floats =
+      precision_ == Precision::float32 ? kBlockRows * row : kTileBlockRows * (row + kTilePanel + joined_width_ * 3 / 2);
+  return static_cast<std::size_t>(floats);
 }
 
 PatchFrame PackedNetwork::frame() const {

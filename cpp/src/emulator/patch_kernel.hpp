@@ -16,8 +16,6 @@ inline constexpr std::int32_t kPanel = 16;
 inline constexpr std::int32_t kBlockRows = 24;
 /// The same in bfloat16: tiles are taken two by two.
 inline constexpr std::int32_t kTilePanel = 32, kTileBlockRows = 32;
-/// Edges that go through all layers together.
-inline constexpr std::int32_t kTileEdgeRows = 64;
 
 /// A linear layer, packed: weights of outputs [16 p, 16 p + 16) are one panel, input by input.
 struct DenseKernel {
@@ -81,8 +79,7 @@ FOLLOWTHROUGH_DECLARE_PATCH_KERNELS(avx512)
 
 namespace amx {
 /// With the hidden layers in bfloat16, on the calling thread's tile unit.
-/// @param scratch kTileBlockRows rows, each of twice the widest, two and a half joined rows and the features; kTileEdgeRows rows of
-///   the widest and a panel
+/// @param scratch kTileBlockRows rows, each of three times the widest, a panel, two and a half joined rows and the features
 void predict_changes(const PatchFrame& frame, std::int32_t first, std::int32_t last, float* scratch) noexcept;
 }  // namespace amx
 

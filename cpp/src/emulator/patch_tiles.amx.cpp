@@ -163,9 +163,9 @@ struct Scratch {
       return taken;
     };
     const std::int64_t widest = frame.widest;
-    sums = take(kTileEdgeRows * kTilePanel);
-    front = reinterpret_cast<std::uint16_t*>(take(kTileEdgeRows * widest / 2));
-    back = reinterpret_cast<std::uint16_t*>(take(kTileEdgeRows * widest / 2));
+    sums = take(kTileBlockRows * kTilePanel);
+    front = reinterpret_cast<std::uint16_t*>(take(kTileBlockRows * widest / 2));
+    back = reinterpret_cast<std::uint16_t*>(take(kTileBlockRows * widest / 2));
     rows = take(kTileBlockRows * widest);
     centre_shares = take(kTileBlockRows * widest);
     split = reinterpret_cast<std::uint16_t*>(take(kTileBlockRows * 3 * std::int64_t{frame.joined_width} / 2));
@@ -194,9 +194,9 @@ void tile_ring_sums(const PatchFrame& frame, const RingKernel& ring, std::int32_
                     const Scratch& scratch) {
   begin_ring(frame, ring, first, vertices, scratch.features, scratch.centre_shares, scratch.joined);
   const std::int32_t end = ring.starts[first + vertices];
-  std::int32_t vertex = 0, vertex_of[kTileEdgeRows];
-  for (std::int32_t edge = ring.starts[first]; edge < end; edge += kTileEdgeRows) {
-    const std::int32_t rows = end - edge < kTileEdgeRows ? end - edge : kTileEdgeRows;
+  std::int32_t vertex = 0, vertex_of[kTileBlockRows];
+  for (std::int32_t edge = ring.starts[first]; edge < end; edge += kTileBlockRows) {
+    const std::int32_t rows = end - edge < kTileBlockRows ? end - edge : kTileBlockRows;
     for (std::int32_t row = 0; row < rows; ++row) {
       while (edge + row >= ring.starts[first + vertex + 1]) ++vertex;
       vertex_of[row] = vertex;
