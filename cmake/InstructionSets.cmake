@@ -2,17 +2,17 @@
 # Kernel files (*.kernel.cpp) are compiled once per instruction set, each into a namespace of its own (FOLLOWTHROUGH_ISA), and picked
 # at run time. They must include no header with inline functions of a library (Eigen, most of the standard library): the linker keeps
 # one copy of such a function, and it may be the AVX-512 one.
-# Files *.amx.cpp are such kernels for one set alone.
+# Files *.amx.cpp are such kernels for that set alone.
 include(CheckCXXCompilerFlag)
 file(GLOB_RECURSE kernel_sources CONFIGURE_DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/cpp/src/*.kernel.cpp")
-
 file(GLOB_RECURSE amx_sources CONFIGURE_DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/cpp/src/*.amx.cpp")
 
 function(followthrough_add_kernels isa)
+  set(sources ${kernel_sources})
   if(isa STREQUAL "amx")
-    set(kernel_sources ${amx_sources})
+    set(sources ${amx_sources})
   endif()
-  add_library(followthrough_kernels_${isa} OBJECT ${kernel_sources})
+  add_library(followthrough_kernels_${isa} OBJECT ${sources})
   target_include_directories(followthrough_kernels_${isa} PRIVATE cpp/include cpp/src)
   target_compile_definitions(followthrough_kernels_${isa} PRIVATE FOLLOWTHROUGH_ISA=${isa})
   target_compile_options(followthrough_kernels_${isa} PRIVATE ${ARGN})
