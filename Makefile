@@ -82,7 +82,7 @@ bench-emulator: setup ## Errors and times of the emulator and of what could take
 	@OMP_NUM_THREADS=1 $(PY) cpp/bench/emulator_scores.py $(TRAINING_DATA)/held-out --pattern 'test-*'
 
 bench: setup ## Benchmarks of the core beside memory copy speed, and of the bake beside stepping the frames
-	@bash tools/apt_require.sh libbenchmark-dev
+	@bash tools/apt_require.sh libbenchmark-dev libopenblas0
 	@$(CMAKE) -S . -B build/bench -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(VENV)/bin/ninja -DPython_EXECUTABLE=$(CURDIR)/$(PY) \
 	  -DFOLLOWTHROUGH_PYTHON=OFF -DFOLLOWTHROUGH_BENCH=ON > /dev/null
 	@$(CMAKE) --build build/bench
@@ -111,7 +111,7 @@ tidy: $(VENV)/.tools ## Static analysis of the C++ core
 	@$(CMAKE) -S . -B build/tests -G Ninja -DCMAKE_MAKE_PROGRAM=$(CURDIR)/$(VENV)/bin/ninja -DPython_EXECUTABLE=$(CURDIR)/$(PY) \
 	  -DFOLLOWTHROUGH_PYTHON=OFF -DFOLLOWTHROUGH_TESTS=ON -DFOLLOWTHROUGH_VALIDATE=ON > /dev/null
 	@mkdir -p build/tests/openmp && ln -sf "$$(c++ -print-file-name=include)/omp.h" build/tests/openmp/  # the compiler's own: clang-tidy has none
-	@find cpp/src -name '*.cpp' -not -name '*.kernel.cpp' | xargs -P $$(nproc) -n 4 \
+	@find cpp/src -name '*.cpp' -not -name '*.kernel.cpp' -not -name '*.amx.cpp' | xargs -P $$(nproc) -n 4 \
 	  $(VENV)/bin/clang-tidy --quiet -p build/tests --extra-arg=-isystem$(CURDIR)/build/tests/openmp
 
 format: $(VENV)/.tools ## Format the sources

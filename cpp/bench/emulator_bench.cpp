@@ -1,22 +1,28 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Emulator::step with the published network's sizes on blocks of cubes, PatchNewton::step with the shipped schedule's on the
-// dancer, and how many multiply-adds the machine's registers can do in the same run, which is what a perfect matrix product
-// reaches. time_a_vertex is time a free vertex; multiply_adds_a_second counts those that remain after the exact savings, so its
-// ratio to that of registers_peak is the share of the machine that is used.
+// dancer, and beside them in the same run what OpenBLAS' sgemm reaches and what the machine's registers can do. time_a_vertex is
+// time a free vertex; multiply_adds_a_second counts those that remain after the exact savings, so its ratio to that of sgemm or
+// registers_peak is the share of the machine that is used.
 #include <benchmark/benchmark.h>
 #include <omp.h>
 
 #include <algorithm>
 #include <cmath>
 #include <random>
+#include <vector>
 
 #include "dancer.hpp"
 #include "followthrough/emulator/emulator.hpp"
 #include "followthrough/emulator/patch_newton.hpp"
 #include "instruction_set.hpp"
+#include "tile_unit.hpp"
 
 #if defined(__x86_64__)
 #include <immintrin.h>
+#endif
+#if defined(__linux__)
+#include <dlfcn.h>
+#include <stdlib.h>
 #endif
 
 namespace {
@@ -89,8 +95,8 @@ bool available(InstructionSet set) {
   return std::find(sets.begin(), sets.end(), set) != sets.end();
 }
 
-void emulator_step(benchmark::State& state, InstructionSet set, Eigen::Index divisor) {
-  if (!available(set)) {
+void emulator_step(benchmark::State& state, InstructionSet set, Eigen::Index divisor, Precision precision = Precision::float32) {
+  if (!available(set) || (precision == Precision::bfloat16 && !has_tile_unit())) {
     state.SkipWithError("not available on this machine");
     return;
   }
@@ -99,7 +105,7 @@ void emulator_step(benchmark::State& state, InstructionSet set, Eigen::Index div
   use_instruction_set(set);
   omp_set_num_threads(static_cast<int>(state.range(1)));
   const EmulatedBody body = block(state.range(0));
-  Emulator emulator(body, network(divisor));
+  Emulator emulator(body, network(divisor), {}, precision);
   emulator.reset(body.rest_positions);
   Positions reference = body.rest_positions;
   int frame = 0;
@@ -221,17 +227,54 @@ BENCHMARK_CAPTURE(registers_peak, avx2, InstructionSet::avx2);
 BENCHMARK_CAPTURE(registers_peak, avx512, InstructionSet::avx512);
 #endif
 
+#if defined(__linux__)
+// Row major, no transposes: c = a b of n x n.
+using Sgemm = void (*)(int, int, int, int, int, int, float, const float*, int, const float*, int, float, float*, int);
+
+// From a shared library, so that nothing has to be there to build. OpenBLAS takes processors that it does not know for very old
+// ones: it is told that this one has AVX-512.
+Sgemm openblas_sgemm() {
+  if (available(InstructionSet::avx512)) setenv("OPENBLAS_CORETYPE", "SKYLAKEX", 0);
+  void* library = dlopen("libopenblas.so.0", RTLD_NOW);
+  if (!library) return nullptr;
+  if (void* threads = dlsym(library, "openblas_set_num_threads")) reinterpret_cast<void (*)(int)>(threads)(1);
+  return reinterpret_cast<Sgemm>(dlsym(library, "cblas_sgemm"));
+}
+
+void sgemm(benchmark::State& state) {
+  static const Sgemm multiply = openblas_sgemm();
+  if (!multiply) {
+    state.SkipWithError("OpenBLAS is not there (Debian: libopenblas0)");
+    return;
+  }
+  const auto n = static_cast<int>(state.range(0));
+  const auto size = static_cast<std::size_t>(n) * static_cast<std::size_t>(n);
+  const std::vector<float> a(size, 0.5f), b(size, 0.25f);
+  std::vector<float> c(size);
+  for (auto _ : state) {
+    multiply(101, 111, 111, n, n, n, 1.0f, a.data(), n, b.data(), n, 0.0f, c.data(), n);
+    benchmark::DoNotOptimize(c.data());
+    benchmark::ClobberMemory();
+  }
+  state.counters["multiply_adds_a_second"] =
+      benchmark::Counter(static_cast<double>(size) * n * static_cast<double>(state.iterations()), benchmark::Counter::kIsRate);
+}
+
+BENCHMARK(sgemm)->Arg(256)->Arg(512)->Arg(1536)->UseRealTime()->Unit(benchmark::kMillisecond);
+#endif
+
 void one_thread(benchmark::internal::Benchmark* bench) {
   bench->Args({1500, 1})->ArgNames({"vertices", "threads"})->UseRealTime()->Unit(benchmark::kMillisecond);
 }
 void sizes(benchmark::internal::Benchmark* bench) {
-  bench->ArgsProduct({{400, 1500, 10000, 40000}, {1, 2}});
+  bench->ArgsProduct({{400, 1000, 1500, 4000, 10000, 40000}, {1, 2}});
   bench->ArgNames({"vertices", "threads"})->UseRealTime()->Unit(benchmark::kMillisecond);
 }
 
 BENCHMARK_CAPTURE(emulator_step, published_baseline, InstructionSet::baseline, 1)->Apply(one_thread);
 BENCHMARK_CAPTURE(emulator_step, published_avx2, InstructionSet::avx2, 1)->Apply(one_thread);
 BENCHMARK_CAPTURE(emulator_step, published_avx512, InstructionSet::avx512, 1)->Apply(sizes);
+BENCHMARK_CAPTURE(emulator_step, published_bfloat16, InstructionSet::avx512, 1, Precision::bfloat16)->Apply(sizes);
 BENCHMARK_CAPTURE(emulator_step, half_width_avx512, InstructionSet::avx512, 2)->Apply(one_thread);
 BENCHMARK_CAPTURE(emulator_step, quarter_width_avx512, InstructionSet::avx512, 4)->Apply(one_thread);
 

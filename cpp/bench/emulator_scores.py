@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from followthrough.benchmarking.methods import SkinningAlone
 from followthrough.character import FloatArray
 from followthrough.elastic import ElasticBody, ImplicitEuler
-from followthrough.emulator import Emulator
+from followthrough.emulator import PRECISIONS, Emulator, Precision
 from followthrough.emulator_weights import EmulatorWeights
 from followthrough.evaluation import Scores, evaluate
 from followthrough.newton_weights import PASS_SIZE, START_SIZE, NewtonSchedule, guide_inputs
@@ -70,12 +70,17 @@ def untrained(schedule: NewtonSchedule) -> EmulatorWeights:
     return EmulatorWeights(parameters, newton=schedule)
 
 
-def emulator(weights: EmulatorWeights, most_passes: int | None = None, tolerance: float | None = None) -> Maker:
-    """An emulator with a number of passes of its own."""
+def emulator(
+    weights: EmulatorWeights,
+    most_passes: int | None = None,
+    tolerance: float | None = None,
+    precision: Precision = "float32",
+) -> Maker:
+    """An emulator with a number of passes, or a precision, of its own."""
     if weights.newton is not None and most_passes is not None:
         kept = weights.newton.tolerance if tolerance is None else tolerance
         weights = replace(weights, newton=replace(weights.newton, most_passes=most_passes, tolerance=kept))
-    return lambda sequence: Emulator.of_sequence(sequence, weights)
+    return lambda sequence: Emulator.of_sequence(sequence, weights, precision=precision)
 
 
 def simulation(quality: str) -> Maker:
@@ -92,7 +97,9 @@ def with_iterations(weights: EmulatorWeights, iterations: int) -> Maker:
     return emulator(replace(weights, newton=replace(weights.newton, iterations=every)))
 
 
-def methods(weights: EmulatorWeights, others: list[Path], iterations: list[int]) -> dict[str, Maker]:
+def methods(
+    weights: EmulatorWeights, others: list[Path], iterations: list[int], precisions: list[Precision]
+) -> dict[str, Maker]:
     """What is compared, by name."""
     found: dict[str, Maker] = {
         "reference only": lambda sequence: SkinningAlone(),
@@ -109,7 +116,8 @@ def methods(weights: EmulatorWeights, others: list[Path], iterations: list[int])
         found["no guides, as shipped"] = emulator(plain)
     found["as shipped"] = emulator(weights)
     for path in others:
-        found[path.stem] = emulator(EmulatorWeights.load(path))
+        for precision in precisions:
+            found[f"{path.stem}, {precision}"] = emulator(EmulatorWeights.load(path), precision=precision)
     for quality in ("preview", "fine"):
         found[f"simulation, {quality}"] = simulation(quality)
     return found
@@ -123,12 +131,15 @@ def main() -> None:
     parser.add_argument(
         "--other", type=Path, nargs="*", default=[], help="more weights files, for example the paper's network"
     )
+    parser.add_argument(
+        "--precision", choices=PRECISIONS, nargs="+", default=["float32"], help="of the other weights files"
+    )
     parser.add_argument("--iterations", type=int, nargs="*", default=[], help="a pass, to compare beside its own")
     parser.add_argument("--pattern", default="*.npz")
     parser.add_argument("--frames", type=int)
     arguments = parser.parse_args()
     weights = EmulatorWeights.shipped() if arguments.weights is None else EmulatorWeights.load(arguments.weights)
-    compared = methods(weights, arguments.other, arguments.iterations)
+    compared = methods(weights, arguments.other, arguments.iterations, arguments.precision)
     scores: dict[str, list[tuple[Scores, float]]] = {name: [] for name in compared}
     for path in sorted(arguments.folder.glob(arguments.pattern)):
         sequence = Sequence.load(path)

@@ -199,6 +199,43 @@ def test_amplitude_gravity_and_damping_on_the_command_line(
     assert np.abs(simulate(sequence, damped).dynamic - usual).max() > 1e-4
 
 
+def has_bfloat16(sequence: Sequence, weights: EmulatorWeights) -> bool:
+    """Whether this machine has it; where it does not, it must say what it lacks and what to use."""
+    try:
+        Emulator.of_sequence(sequence, weights, precision="bfloat16")
+    except ValueError as error:
+        assert "precision: found bfloat16, which needs a processor with AMX" in str(error)
+        assert "use float32" in str(error)
+        return False
+    return True
+
+
+def test_bfloat16_is_the_same_motion_but_for_rounding_or_is_refused(
+    sequence: Sequence, weights: EmulatorWeights, weights_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given, output = tmp_path / "motion.npz", tmp_path / "out.npz"
+    sequence.save(given)
+    command = ["rollout", str(given), "--weights", str(weights_file), "--precision", "bfloat16", "-o", str(output)]
+    if not has_bfloat16(sequence, weights):
+        assert cli.main(command) == 2
+        assert "needs a processor with AMX" in capsys.readouterr().err
+        assert not output.exists()
+        return
+    exact = simulate(sequence, Emulator.of_sequence(sequence, weights)).dynamic
+    rounded = simulate(sequence, Emulator.of_sequence(sequence, weights, precision="bfloat16")).dynamic
+    motion = np.linalg.norm(exact - sequence.reference)
+    assert 1e-6 * motion < np.linalg.norm(rounded - exact) < 0.01 * motion
+    assert cli.main(command) == 0
+    np.testing.assert_array_equal(Sequence.load(output).dynamic, rounded)
+
+
+def test_a_precision_that_does_not_fit_is_refused(sequence: Sequence, weights: EmulatorWeights) -> None:
+    with pytest.raises(ValueError, match="precision: found 'half', expected 'float32' or 'bfloat16'"):
+        Emulator.of_sequence(sequence, weights, precision="half")
+    with pytest.raises(ValueError, match="found bfloat16, expected float32 for a network that guides Newton steps"):
+        Emulator.of_sequence(sequence, EmulatorWeights.shipped(), precision="bfloat16")
+
+
 def test_weights_files_keep_everything(weights: EmulatorWeights, tmp_path: Path) -> None:
     path = tmp_path / "weights.npz"
     trained = TrainedOn(edge_length=1.0, dt=0.5, density=2.0, stiffness_range=(0.5, 150.0))
@@ -295,6 +332,7 @@ def test_commands_with_bad_weights_say_so(
         (["rollout", given, "--weights", weights_file, "--edge-length", -1, "-o", output], "edge_length: found -1"),
         (["simulate", given, "--solver", "springs", "--weights", weights_file, "-o", output], "only with emulator"),
         (["simulate", given, "--solver", "springs", "--edge-length", 1, "-o", output], "--edge-length: found together"),
+        (["simulate", given, "--precision", "bfloat16", "-o", output], "--precision: found together"),
         (["rollout", given, "--weights", weights_file, "-o", tmp_path / "no" / "out.npz"], "is not there"),
     ):
         assert cli.main([str(argument) for argument in arguments]) == 2

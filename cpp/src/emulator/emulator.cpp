@@ -16,20 +16,30 @@
 #include "emulator/patches.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
+#include "tile_unit.hpp"
 #include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
 
 // What a core does at least, multiply-adds a nanosecond.
-constexpr double slowest_rate = 20.0;
+constexpr double slowest_rate = 20.0, slowest_tile_rate = 200.0;
 
 struct Kernels {
   decltype(&baseline::neighbour_shares) neighbour_shares;
   decltype(&baseline::predict_changes) predict_changes;
+  std::int32_t block_rows = kBlockRows;
+  double rate = slowest_rate;
 };
 
-Kernels kernels() {
+Kernels kernels(Precision precision) {
+#ifdef FOLLOWTHROUGH_HAS_amx
+  if (precision == Precision::bfloat16) {
+    return {avx512::neighbour_shares, amx::predict_changes, kTileBlockRows, slowest_tile_rate};
+  }
+#else
+  (void)precision;
+#endif
   switch (instruction_set()) {
 #ifdef FOLLOWTHROUGH_HAS_avx512
     case InstructionSet::avx512:
@@ -82,9 +92,10 @@ double cube_edge(Vector volumes) {
 }  // namespace
 
 struct Emulator::Parts {
-  Parts(const EmulatedBody& body, const PatchNetwork& network, const NetworkUnits& units);
+  Parts(const EmulatedBody& body, const PatchNetwork& network, const NetworkUnits& units, Precision precision);
 
   void gather_features(const ConstPositions& reference, Eigen::Index first, Eigen::Index last);
+  void move(Eigen::Index first, Eigen::Index last);
   void predict(const ConstPositions& reference);
 
   Eigen::Index count;
@@ -108,8 +119,9 @@ struct Emulator::Parts {
   std::int64_t frames = -1;  // since the reset; -1: never reset
 };
 
-Emulator::Parts::Parts(const EmulatedBody& body, const PatchNetwork& weights, const NetworkUnits& units)
-    : count(body.rest_positions.rows()), rest(body.rest_positions), network((require_network(weights), weights)) {
+Emulator::Parts::Parts(const EmulatedBody& body, const PatchNetwork& weights, const NetworkUnits& units, Precision precision)
+    : count(body.rest_positions.rows()), rest(body.rest_positions), network((require_network(weights), weights), precision) {
+  if (precision == Precision::bfloat16) require_tile_unit();
   require_finite("gravity", body.gravity.transpose());
   require_finite("rest_positions", rest);
   require_indices("tets", body.tets, count);
@@ -216,31 +228,45 @@ void Emulator::Parts::gather_features(const ConstPositions& reference, Eigen::In
   }
 }
 
-void Emulator::Parts::predict(const ConstPositions& reference) {
-  const Kernels kernel = kernels();
-  const auto blocks_of = [](std::size_t rows) { return static_cast<Eigen::Index>((rows + kBlockRows - 1) / kBlockRows); };
-  const auto rows = static_cast<Eigen::Index>(patches.vertices.size()), free = static_cast<Eigen::Index>(patches.free.size());
-  const Eigen::Index row_blocks = blocks_of(patches.vertices.size()), free_blocks = blocks_of(patches.free.size());
-  const auto most = static_cast<int>(scratch.size());
-  const int gathering = std::min(worthwhile_threads(row_blocks, 5000.0), most);
-#pragma omp parallel for schedule(static) num_threads(gathering)
-  for (Eigen::Index block = 0; block < row_blocks; ++block) {
-    const Eigen::Index first = block * kBlockRows, last = std::min(first + kBlockRows, rows);
-    gather_features(reference, first, last);
-    kernel.neighbour_shares(frame, static_cast<std::int32_t>(first), static_cast<std::int32_t>(last));
-  }
-  const double block_cost = free_blocks ? cost / static_cast<double>(free_blocks) / slowest_rate : 0.0;
-  const int predicting = std::min(worthwhile_threads(free_blocks, block_cost), most);
-#pragma omp parallel for schedule(dynamic, 1) num_threads(predicting)
-  for (Eigen::Index block = 0; block < free_blocks; ++block) {
-    const Eigen::Index first = block * kBlockRows, last = std::min(first + kBlockRows, free);
-    kernel.predict_changes(frame, static_cast<std::int32_t>(first), static_cast<std::int32_t>(last),
-                           scratch[static_cast<std::size_t>(omp_get_thread_num())].data());
+// Where the free vertices [first, last) go; the oldest frame's memory takes them.
+void Emulator::Parts::move(Eigen::Index first, Eigen::Index last) {
+  for (auto i = static_cast<std::size_t>(first); i < static_cast<std::size_t>(last); ++i) {
+    const Index v = patches.vertices[static_cast<std::size_t>(patches.free[i])];
+    for (Eigen::Index axis = 0; axis < 3; ++axis) {
+      before_that(v, axis) =
+          now(v, axis) + static_cast<double>(changes[3 * i + static_cast<std::size_t>(axis)]) / scale + fall[axis];
+    }
   }
 }
 
-Emulator::Emulator(const EmulatedBody& body, const PatchNetwork& network, const NetworkUnits& units)
-    : parts_(std::make_unique<Parts>(body, network, units)) {}
+// One parallel region for all, as waking threads takes as long as some of its loops.
+void Emulator::Parts::predict(const ConstPositions& reference) {
+  const Kernels kernel = kernels(network.precision());
+  const auto blocks_of = [&](Eigen::Index all) { return (all + kernel.block_rows - 1) / kernel.block_rows; };
+  const auto rows = static_cast<Eigen::Index>(patches.vertices.size()), free = static_cast<Eigen::Index>(patches.free.size());
+  const Eigen::Index row_blocks = blocks_of(rows), free_blocks = blocks_of(free);
+  const double block_cost = free_blocks ? cost / static_cast<double>(free_blocks) / kernel.rate : 0.0;
+  const int threads = std::min(worthwhile_threads(free_blocks, block_cost), static_cast<int>(scratch.size()));
+#pragma omp parallel num_threads(threads)
+  {
+#pragma omp for schedule(static)
+    for (Eigen::Index block = 0; block < row_blocks; ++block) {
+      const Eigen::Index first = block * kernel.block_rows, last = std::min(first + kernel.block_rows, rows);
+      gather_features(reference, first, last);
+      kernel.neighbour_shares(frame, static_cast<std::int32_t>(first), static_cast<std::int32_t>(last));
+    }
+#pragma omp for schedule(dynamic, 1)
+    for (Eigen::Index block = 0; block < free_blocks; ++block) {
+      const Eigen::Index first = block * kernel.block_rows, last = std::min(first + kernel.block_rows, free);
+      kernel.predict_changes(frame, static_cast<std::int32_t>(first), static_cast<std::int32_t>(last),
+                             scratch[static_cast<std::size_t>(omp_get_thread_num())].data());
+      move(first, last);
+    }
+  }
+}
+
+Emulator::Emulator(const EmulatedBody& body, const PatchNetwork& network, const NetworkUnits& units, Precision precision)
+    : parts_(std::make_unique<Parts>(body, network, units, precision)) {}
 Emulator::~Emulator() = default;
 Emulator::Emulator(Emulator&&) noexcept = default;
 Emulator& Emulator::operator=(Emulator&&) noexcept = default;
@@ -276,16 +302,7 @@ const Positions& Emulator::step(ConstPositions reference, const Positions* /*nex
   require_rows("reference", reference.rows(), p.count);
   require_finite("reference", reference);
   p.predict(reference);
-  // The oldest frames' memory takes the new ones.
-  Positions& next = p.before_that;
-  for (std::size_t i = 0; i < p.patches.free.size(); ++i) {
-    const Index v = p.patches.vertices[static_cast<std::size_t>(p.patches.free[i])];
-    for (Eigen::Index axis = 0; axis < 3; ++axis) {
-      next(v, axis) =
-          p.now(v, axis) + static_cast<double>(p.changes[3 * i + static_cast<std::size_t>(axis)]) / p.scale + p.fall[axis];
-    }
-  }
-  for (const Index v : p.constrained_vertices) next.row(v) = reference.row(v);
+  for (const Index v : p.constrained_vertices) p.before_that.row(v) = reference.row(v);
   p.reference_before = reference;
   p.reference_before.swap(p.reference_now);
   p.before_that.swap(p.before);

@@ -27,15 +27,21 @@ class AlignedFloats {
   std::unique_ptr<float[], Free> data_;
 };
 
-/// @return the next multiple of kPanel
-inline int padded_width(Eigen::Index width) { return static_cast<int>((width + kPanel - 1) / kPanel) * kPanel; }
+/// @return the next multiple of a panel
+inline int padded_width(Eigen::Index width, int panel = kPanel) { return static_cast<int>((width + panel - 1) / panel) * panel; }
 
 /// Owns what it packs.
 class PackedLayers {
  public:
   const float* keep(const std::vector<float>& numbers);
   /// @param bias (outputs,), or empty: a layer that adds to what is there
-  DenseKernel pack(const Eigen::MatrixXd& weight, const Eigen::VectorXd& bias);
+  /// @param panel the outputs become a multiple of it, and it is one of kPanel
+  DenseKernel pack(const Eigen::MatrixXd& weight, const Eigen::VectorXd& bias, int panel = kPanel);
+  /// The weights rounded to the nearest bfloat16.
+  TileLayer pack_tiles(const Eigen::MatrixXd& weight, const Eigen::VectorXd& bias);
+  /// Keeps 16 significant bits: a number is the sum of two bfloat16, `upper` and what is left, `lower`. Inputs are three blocks,
+  /// upper, lower and upper again, which meet the upper, upper and lower parts of the weights. A block is a multiple of kTilePanel.
+  TileLayer pack_split_tiles(const Eigen::MatrixXd& weight, const Eigen::VectorXd& bias);
 
  private:
   std::vector<AlignedFloats> numbers_;

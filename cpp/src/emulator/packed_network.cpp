@@ -15,7 +15,7 @@ Eigen::VectorXd bias_of(const DenseLayer& layer) {
 }  // namespace
 
 DenseKernel PackedNetwork::pack(const Eigen::MatrixXd& weight, const Eigen::VectorXd& bias) {
-  const DenseKernel layer = layers_.pack(weight, bias);
+  const DenseKernel layer = layers_.pack(weight, bias, panel_);
   widest_ = std::max(widest_, layer.outputs);
   return layer;
 }
@@ -25,6 +25,16 @@ std::vector<DenseKernel> PackedNetwork::pack_hidden(const Perceptron& perceptron
   std::vector<DenseKernel> layers;
   for (std::size_t k = first; k + 1 < perceptron.size(); ++k) {
     layers.push_back(pack(weight_of(perceptron[k]), bias_of(perceptron[k])));
+  }
+  return layers;
+}
+
+// The layers between the first and the last in bfloat16, or none.
+std::vector<TileLayer> PackedNetwork::pack_tiles(const Perceptron& perceptron) {
+  std::vector<TileLayer> layers;
+  if (precision_ == Precision::float32) return layers;
+  for (std::size_t k = 1; k + 1 < perceptron.size(); ++k) {
+    layers.push_back(layers_.pack_tiles(weight_of(perceptron[k]), bias_of(perceptron[k])));
   }
   return layers;
 }
@@ -54,6 +64,7 @@ void PackedNetwork::pack_ring(const Perceptron& perceptron) {
   }
   ring.offset = layers_.keep(offsets);
   hidden_.push_back(pack_hidden(perceptron, 1));
+  hidden_tiles_.push_back(pack_tiles(perceptron));
   ring.hidden_count = static_cast<std::int32_t>(hidden_.back().size());
   double cost = 3.0 * static_cast<double>(width);
   for (std::size_t k = 1; k + 1 < perceptron.size(); ++k) {
@@ -64,8 +75,12 @@ void PackedNetwork::pack_ring(const Perceptron& perceptron) {
   rings_.push_back(ring);
 }
 
-PackedNetwork::PackedNetwork(const PatchNetwork& network) : motion_count_(network.sees_reference() ? 15 : 6) {
+PackedNetwork::PackedNetwork(const PatchNetwork& network, Precision precision)
+    : motion_count_(network.sees_reference() ? 15 : 6),
+      precision_(precision),
+      panel_(precision == Precision::float32 ? kPanel : kTilePanel) {
   inertia_ = pack_hidden(network.inertia, 0);
+  inertia_tiles_ = pack_tiles(network.inertia);
   for (std::size_t k = 0; k + 1 < network.inertia.size(); ++k) {
     vertex_cost_ += static_cast<double>(network.inertia[k].weight.size());
   }
@@ -73,7 +88,7 @@ PackedNetwork::PackedNetwork(const PatchNetwork& network) : motion_count_(networ
     pack_ring(perceptron);
   }
   // A joined row: the inertia's last hidden layer, the sums of the rings' last hidden layers, the rings' numbers of neighbours.
-  Eigen::Index column = padded_width(inertia_.back().outputs);
+  Eigen::Index column = inertia_.back().outputs;
   for (std::size_t r = 0; r < rings_.size(); ++r) {
     rings_[r].column = static_cast<std::int32_t>(column);
     column += rings_[r].hidden_count ? hidden_[r].back().outputs : rings_[r].centre.outputs;
@@ -95,20 +110,27 @@ PackedNetwork::PackedNetwork(const PatchNetwork& network) : motion_count_(networ
     joined.col(rings_[r].degree_column) = fold(last, input, rings_[r].column);
     input += last.weight.rows();
   }
-  joined_width_ = padded_width(joined.cols());
+  joined_width_ = padded_width(joined.cols(), panel_);
   displacement_.push_back(pack(joined, bias));
+  if (precision_ == Precision::bfloat16) {
+    displacement_tiles_ = pack_tiles(network.displacement);
+    displacement_tiles_.insert(displacement_tiles_.begin(), layers_.pack_split_tiles(joined, bias));
+  }
   for (std::size_t k = 1; k < network.displacement.size(); ++k) {
     displacement_.push_back(pack(weight_of(network.displacement[k]), bias_of(network.displacement[k])));
     vertex_cost_ += static_cast<double>(network.displacement[k].weight.size());
   }
   for (std::size_t r = 0; r < rings_.size(); ++r) {
     rings_[r].hidden = hidden_[r].data();
+    rings_[r].hidden_tiles = hidden_tiles_[r].data();
   }
 }
 
 std::size_t PackedNetwork::scratch_size() const {
-  return static_cast<std::size_t>(kBlockRows) *
-         static_cast<std::size_t>(3 * widest_ + joined_width_ + padded_width(feature_count()));
+  const int row = 3 * widest_ + joined_width_ + padded_width(feature_count());
+  const int floats =
+      precision_ == Precision::float32 ? kBlockRows * row : kTileBlockRows * (row + kTilePanel + joined_width_ * 3 / 2);
+  return static_cast<std::size_t>(floats);
 }
 
 PatchFrame PackedNetwork::frame() const {
@@ -120,6 +142,8 @@ PatchFrame PackedNetwork::frame() const {
   frame.inertia = inertia_.data();
   frame.rings = rings_.data();
   frame.displacement = displacement_.data();
+  frame.inertia_tiles = inertia_tiles_.data();
+  frame.displacement_tiles = displacement_tiles_.data();
   frame.joined_width = joined_width_;
   frame.widest = widest_;
   return frame;

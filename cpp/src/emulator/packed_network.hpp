@@ -18,11 +18,12 @@ namespace followthrough {
 class PackedNetwork {
  public:
   /// @param network one that require_network accepts
-  explicit PackedNetwork(const PatchNetwork& network);
+  PackedNetwork(const PatchNetwork& network, Precision precision);
 
   /// All but the frame's own arrays.
   PatchFrame frame() const;
   bool sees_reference() const { return motion_count_ == 15; }
+  Precision precision() const { return precision_; }
   /// Rings, starts and neighbours to be filled in.
   std::vector<RingKernel>& rings() { return rings_; }
   int motion_count() const { return motion_count_; }
@@ -37,11 +38,16 @@ class PackedNetwork {
   DenseKernel pack(const Eigen::MatrixXd& weight, const Eigen::VectorXd& bias);
   void pack_ring(const Perceptron& perceptron);
   std::vector<DenseKernel> pack_hidden(const Perceptron& perceptron, std::size_t first);
+  std::vector<TileLayer> pack_tiles(const Perceptron& perceptron);
 
   int motion_count_;
+  Precision precision_;
+  int panel_;  // of the widths
   PackedLayers layers_;
   std::vector<DenseKernel> inertia_, displacement_;
   std::vector<std::vector<DenseKernel>> hidden_;  // of the rings
+  std::vector<TileLayer> inertia_tiles_, displacement_tiles_;
+  std::vector<std::vector<TileLayer>> hidden_tiles_;  // of the rings
   std::vector<RingKernel> rings_;
   int joined_width_ = 0, widest_ = kPanel;
   double vertex_cost_ = 0;

@@ -14,6 +14,8 @@ namespace followthrough {
 inline constexpr std::int32_t kPanel = 16;
 /// Rows (edges or vertices) that go through all layers together. Their activations stay in the first-level cache.
 inline constexpr std::int32_t kBlockRows = 24;
+/// The same in bfloat16: tiles are taken two by two.
+inline constexpr std::int32_t kTilePanel = 32, kTileBlockRows = 32;
 
 /// A linear layer, packed: weights of outputs [16 p, 16 p + 16) are one panel, input by input.
 struct DenseKernel {
@@ -23,6 +25,15 @@ struct DenseKernel {
   std::int32_t outputs;  ///< a multiple of kPanel
 };
 
+/// A linear layer of bfloat16 weights for a processor's tile unit: tiles of 32 inputs by 16 outputs, those of the first 16 outputs
+/// first, input by input. In a tile, inputs 2 k and 2 k + 1 of an output lie next to each other.
+struct TileLayer {
+  const std::uint16_t* weights;  ///< (outputs / 16, inputs / 32, 16, 16, 2)
+  const float* bias;             ///< (outputs,)
+  std::int32_t inputs;           ///< a multiple of kTilePanel
+  std::int32_t outputs;          ///< a multiple of kTilePanel
+};
+
 /// One ring's force perceptron up to its last tanh.
 struct RingKernel {
   DenseKernel neighbour;      ///< features of j -> its share in the first layer; its bias is zero
@@ -30,9 +41,10 @@ struct RingKernel {
   const float* offset;        ///< (3, width of the first layer): for o_j - o_i
   const DenseKernel* hidden;  ///< the layers after the first
   std::int32_t hidden_count;
-  std::int32_t column;         ///< where its sum starts in a joined row
-  std::int32_t degree_column;  ///< where the number of neighbours goes
-  const std::int32_t* starts;  ///< (free vertices + 1,) into neighbours
+  const TileLayer* hidden_tiles;  ///< the same in bfloat16, or null
+  std::int32_t column;            ///< where its sum starts in a joined row
+  std::int32_t degree_column;     ///< where the number of neighbours goes
+  const std::int32_t* starts;     ///< (free vertices + 1,) into neighbours
   const std::int32_t* neighbours;
   float* shares;  ///< (vertices, width of the first layer)
 };
@@ -45,7 +57,9 @@ struct PatchFrame {
   std::int32_t inertia_count, displacement_count, ring_count;  ///< layers; rings
   const DenseKernel* inertia;                                  ///< up to its last tanh; writes to column 0 of a joined row
   const RingKernel* rings;
-  const DenseKernel* displacement;  ///< its first layer takes joined rows: the last layers of the others are folded into it
+  const DenseKernel* displacement;      ///< its first layer takes joined rows: the last layers of the others are folded into it
+  const TileLayer* inertia_tiles;       ///< all but the first in bfloat16, or null
+  const TileLayer* displacement_tiles;  ///< all but the last in bfloat16, or null; the first takes split rows
   std::int32_t joined_width;
   std::int32_t widest;  ///< of all layers but the joined row
   float* changes;       ///< out: (free vertices, 3) u(t+1) - u(t), in the network's units
@@ -62,5 +76,11 @@ FOLLOWTHROUGH_DECLARE_PATCH_KERNELS(baseline)
 FOLLOWTHROUGH_DECLARE_PATCH_KERNELS(avx2)
 FOLLOWTHROUGH_DECLARE_PATCH_KERNELS(avx512)
 #undef FOLLOWTHROUGH_DECLARE_PATCH_KERNELS
+
+namespace amx {
+/// With the hidden layers in bfloat16, on the calling thread's tile unit.
+/// @param scratch kTileBlockRows rows, each of three times the widest, a panel, two and a half joined rows and the features
+void predict_changes(const PatchFrame& frame, std::int32_t first, std::int32_t last, float* scratch) noexcept;
+}  // namespace amx
 
 }  // namespace followthrough

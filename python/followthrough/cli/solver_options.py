@@ -25,7 +25,7 @@ from followthrough.elastic import (
     MaterialName,
     PredictorCorrector,
 )
-from followthrough.emulator import Emulator
+from followthrough.emulator import PRECISIONS, Emulator
 from followthrough.emulator_weights import EmulatorWeights
 from followthrough.quasistatic import OverQuasistatic, Quasistatic
 from followthrough.simulation import DEFAULT_DAMPING_RATIO, DEFAULT_STIFFNESS, load_constants, uniform_constants
@@ -42,7 +42,7 @@ LAYER_OPTIONS = ("quality", "tolerance", "material", "gravity")
 #: Solver -> the options that it has.
 OPTIONS = {
     "springs": ("springs", "stiffness", "damping", "over", "gravity"),
-    "emulator": ("weights", "corrections", "relative_damping", "edge_length", "gravity"),
+    "emulator": ("weights", "corrections", "relative_damping", "edge_length", "gravity", "precision"),
     "implicit-euler": ("quality", "tolerance", "material", "gravity", "mass_damping", "stiffness_damping"),
     "central-differences": ("substeps", "material", "gravity"),
     "quasistatic": LAYER_OPTIONS,
@@ -174,6 +174,11 @@ def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="L",
         type=float,
         help="edge of the volume's cubes, m (default: found from the tets' volumes)",
+    )
+    emulator.add_argument(
+        "--precision",
+        choices=PRECISIONS,
+        help="of the paper's network: float32 (default), or bfloat16, which is faster and coarser and needs a processor with AMX",
     )
 
 
@@ -333,7 +338,9 @@ def make_emulator(sequence: Sequence, args: argparse.Namespace) -> Solver:
         raise ValueError(f"--corrections: found {args.corrections}, expected 0 or more")
     gravity = args.gravity or (0.0, 0.0, 0.0)
     with _warnings_of(args.sequence):
-        solver: Solver = Emulator.of_sequence(sequence, weights, gravity=gravity, edge_length=args.edge_length)
+        solver: Solver = Emulator.of_sequence(
+            sequence, weights, gravity=gravity, edge_length=args.edge_length, precision=args.precision or PRECISIONS[0]
+        )
     if args.corrections:
         corrector = ImplicitEuler(
             body,

@@ -12,6 +12,7 @@
 #include "emulator/plain_newton.hpp"
 #include "emulator/random_network.hpp"
 #include "followthrough/emulator/patch_newton.hpp"
+#include "tile_unit.hpp"
 
 namespace {
 
@@ -33,6 +34,23 @@ void* aligned_alloc(std::size_t alignment, std::size_t size) noexcept {
 }
 
 using namespace followthrough;
+
+TEST_CASE("a step of the patch network allocates nothing") {
+  const int threads = omp_get_max_threads();
+  omp_set_num_threads(1);
+  const EmulatedBody body = block_of_cubes(6, 3, 3);
+  for (const Precision precision : {Precision::float32, Precision::bfloat16}) {
+    if (precision == Precision::bfloat16 && !has_tile_unit()) continue;
+    Emulator solver(body, random_network(2), {}, precision);
+    std::vector<Positions> motion;
+    for (int frame = 0; frame < 8; ++frame) motion.push_back(swinging(body.rest_positions, frame));
+    solver.reset(motion[0]);
+    const long before = allocations;
+    for (const Positions& reference : motion) solver.step(reference);
+    CHECK(allocations == before);
+  }
+  omp_set_num_threads(threads);
+}
 
 TEST_CASE("a step of guided Newton passes allocates nothing") {
   const int threads = omp_get_max_threads();

@@ -4,6 +4,7 @@
 #include <doctest/doctest.h>
 #include <omp.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -13,6 +14,7 @@
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
 #include "runs.hpp"
+#include "tile_unit.hpp"
 
 using namespace followthrough;
 
@@ -40,10 +42,8 @@ double difference(const std::vector<Positions>& a, const std::vector<Positions>&
   return largest;
 }
 
-}  // namespace
-
-TEST_CASE("the emulator is the plain network, with every architecture and instruction set") {
-  const Usual usual;
+// The published one and variants: without reference motion, without biases, of odd widths and depths, with more rings.
+std::vector<Architecture> all_architectures() {
   std::vector<Architecture> architectures(7);
   architectures[1].sees_reference = false;
   architectures[2].biases = false;
@@ -51,6 +51,14 @@ TEST_CASE("the emulator is the plain network, with every architecture and instru
   architectures[4] = {{8, 24, 40}, {50, 16, 100, 9}, {70, 31, 1}, 3, false, false};
   architectures[5] = {{16, 16}, {48, 48, 48}, {96, 80}, 3, true, true};
   architectures[6] = {{300, 1}, {1, 200, 3}, {1}, 1, true, true};
+  return architectures;
+}
+
+}  // namespace
+
+TEST_CASE("the emulator is the plain network, with every architecture and instruction set") {
+  const Usual usual;
+  const std::vector<Architecture> architectures = all_architectures();
   for (std::size_t a = 0; a < architectures.size(); ++a) {
     CAPTURE(a);
     const PatchNetwork network = random_network(static_cast<unsigned>(a), architectures[a]);
@@ -80,6 +88,36 @@ TEST_CASE("the emulator is the plain network, with every architecture and instru
   }
 }
 
+TEST_CASE("in bfloat16 the emulator is the plain network with rounded numbers, or refused where there is no unit for it") {
+  const EmulatedBody body = block_of_cubes(3, 2, 2);
+  if (!has_tile_unit()) {
+    CHECK_THROWS_WITH_AS(Emulator(body, random_network(0), {}, Precision::bfloat16), doctest::Contains("AMX"), InvalidInput);
+    return;
+  }
+  std::vector<Architecture> architectures = all_architectures();
+  architectures.push_back({{40, 64, 33, 20}, {64, 32, 16, 48, 20}, {100, 64, 130}, 2, true, true});
+  architectures.push_back({{40, 50, 33}, {64, 70, 16}, {100, 90}, 2, true, true});
+  for (std::size_t a = 0; a < architectures.size(); ++a) {
+    CAPTURE(a);
+    const PatchNetwork network = random_network(static_cast<unsigned>(a), architectures[a]);
+    const auto plain = [&](Precision precision) {
+      PlainEmulator emulator(body.rest_positions, body.tets, body.constrained, body.youngs_modulus * 1e-6, lumped_mass(body),
+                             network, precision);
+      emulator.reset(swinging(body.rest_positions, 0));
+      return Positions(emulator.step(swinging(body.rest_positions, 1)));
+    };
+    const Positions exact = plain(Precision::float32), rounded = plain(Precision::bfloat16);
+    Emulator emulator(body, network, {}, Precision::bfloat16);
+    const Positions result = run(emulator, body.rest_positions, 1).front();
+    // Where a number is near to halfway between two of bfloat16, the last bits decide which it becomes, and later layers amplify
+    // that.
+    const Architecture& widths = architectures[a];
+    const bool deep = std::max({widths.inertia.size(), widths.force.size(), widths.displacement.size() + 1}) > 3;
+    CHECK((result - rounded).norm() < (deep ? 0.9 : 0.35) * (rounded - exact).norm() + 1e-5);
+    CHECK((result - exact).norm() < 0.01 * (exact - swinging(body.rest_positions, 1)).norm());
+  }
+}
+
 TEST_CASE("the emulator does not depend on the number of threads") {
   const Usual usual;
   const EmulatedBody body = block_of_cubes(9, 9, 8);
@@ -87,13 +125,16 @@ TEST_CASE("the emulator does not depend on the number of threads") {
   architecture.force = {64, 48, 64};
   architecture.rings = 2;
   const PatchNetwork network = random_network(1, architecture);
-  std::vector<Positions> first;
-  for (const int threads : {1, 2, 4}) {
-    omp_set_num_threads(threads);
-    Emulator emulator(body, network);
-    const std::vector<Positions> result = run(emulator, body.rest_positions, 2);
-    if (first.empty()) first = result;
-    for (std::size_t f = 0; f < result.size(); ++f) CHECK(same_bits(result[f], first[f]));
+  for (const Precision precision : {Precision::float32, Precision::bfloat16}) {
+    if (precision == Precision::bfloat16 && !has_tile_unit()) continue;
+    std::vector<Positions> first;
+    for (const int threads : {1, 2, 3, 4}) {
+      omp_set_num_threads(threads);
+      Emulator emulator(body, network, {}, precision);
+      const std::vector<Positions> result = run(emulator, body.rest_positions, 2);
+      if (first.empty()) first = result;
+      for (std::size_t f = 0; f < result.size(); ++f) CHECK(same_bits(result[f], first[f]));
+    }
   }
 }
 

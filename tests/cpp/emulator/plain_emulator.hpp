@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
 /// The patch network evaluated as it is defined: one patch after the other, one layer after the other, in double precision with the
-/// library's tanh. What the emulator is compared with.
+/// library's tanh. What the emulator is compared with. In bfloat16 the weights and inputs of the layers between a perceptron's
+/// first and last are rounded to it first.
 #pragma once
 
 #include <cmath>
@@ -15,12 +16,14 @@ namespace followthrough {
 class PlainEmulator {
  public:
   /// Takes k (MPa) and m (kg) as the network's units have them, and a mesh in those units.
-  PlainEmulator(Positions rest, const Tets& tets, Mask constrained, Vector k, Vector m, PatchNetwork network)
+  PlainEmulator(Positions rest, const Tets& tets, Mask constrained, Vector k, Vector m, PatchNetwork network,
+                Precision precision = Precision::float32)
       : rest_(std::move(rest)),
         constrained_(std::move(constrained)),
         k_(std::move(k)),
         m_(std::move(m)),
-        network_(std::move(network)) {
+        network_(std::move(network)),
+        precision_(precision) {
     const auto count = static_cast<std::size_t>(rest_.rows());
     std::vector<std::set<Index>> edges(count);
     for (Eigen::Index t = 0; t < tets.rows(); ++t) {
@@ -62,9 +65,19 @@ class PlainEmulator {
  private:
   using Numbers = std::vector<double>;
 
-  static Numbers evaluate(const Perceptron& perceptron, Numbers values) {
+  // To the nearest number of 8 significant bits, halfway to the even one.
+  static double rounded(double value) {
+    const double scale = std::ldexp(1.0, value == 0.0 ? 0 : std::ilogb(value) - 7);
+    return scale * std::nearbyint(value / scale);
+  }
+
+  Numbers evaluate(const Perceptron& perceptron, Numbers values) const {
     for (std::size_t k = 0; k < perceptron.size(); ++k) {
-      const DenseLayer& layer = perceptron[k];
+      DenseLayer layer = perceptron[k];
+      if (precision_ == Precision::bfloat16 && k > 0 && k + 1 < perceptron.size()) {
+        layer.weight = layer.weight.unaryExpr([](float w) { return static_cast<float>(rounded(static_cast<double>(w))); });
+        for (double& value : values) value = rounded(value);
+      }
       Numbers outputs;
       for (Eigen::Index out = 0; out < layer.weight.rows(); ++out) {
         double sum = layer.bias.size() ? static_cast<double>(layer.bias[out]) : 0.0;
@@ -131,6 +144,7 @@ class PlainEmulator {
   Mask constrained_;
   Vector k_, m_;
   PatchNetwork network_;
+  Precision precision_;
   std::vector<std::vector<std::vector<Index>>> rings_;
   Positions u0_, u1_, u2_, x0_, x1_;
 };

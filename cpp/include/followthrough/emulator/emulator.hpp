@@ -33,8 +33,10 @@ struct EmulatedBody {
 /// and the prediction is carried back. Backward Euler's equation is met in the one frame exactly where it is in the other.
 class Emulator final : public Solver {
  public:
-  /// @throws InvalidInput on wrong shapes, constants that are not positive, a free vertex without mass, or as require_network
-  Emulator(const EmulatedBody& body, const PatchNetwork& network, const NetworkUnits& units = {});
+  /// @throws InvalidInput on wrong shapes, constants that are not positive, a free vertex without mass, a precision that this
+  ///   machine does not have, or as require_network
+  Emulator(const EmulatedBody& body, const PatchNetwork& network, const NetworkUnits& units = {},
+           Precision precision = Precision::float32);
   ~Emulator() override;
   Emulator(Emulator&&) noexcept;
   Emulator& operator=(Emulator&&) noexcept;

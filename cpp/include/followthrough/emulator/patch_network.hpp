@@ -49,6 +49,10 @@ struct NetworkUnits {
   double density = 1000.0;       ///< rho, kg/m3
 };
 
+/// How a network's hidden layers are computed: in single precision, or from numbers of 8 significant bits whose products are summed
+/// in single precision, which needs a processor with a unit for that (Intel's AMX, on Linux).
+enum class Precision { float32, bfloat16 };
+
 /// @throws InvalidInput where the layers do not fit each other or the inputs above, or hold a number that is not finite
 void require_network(const PatchNetwork& network);
 
