@@ -3,8 +3,8 @@
 // gradient. The force on a corner is volume (F S + pressure A) g; the stiffness between two, made convex, is volume times
 // share (g_a . S g_b) 1 + mu ((g_a . g_b) F F^T + F g_b (F g_a)^T) + lambda F g_a (F g_b)^T + bulk A g_a (A g_b)^T, where the share
 // is 1 if S is positive definite and 0 if not.
-#include "emulator/lane_algebra.hpp"
 #include "emulator/newton_kernel.hpp"
+#include "lane_algebra.hpp"
 
 namespace followthrough::FOLLOWTHROUGH_ISA {
 namespace {
