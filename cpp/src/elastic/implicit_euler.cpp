@@ -33,6 +33,11 @@ constexpr double solve_nanoseconds = 0.3, block_nanoseconds = 10, vector_nanosec
 // Iterations with the diagonal for each e-fold of the residual and each unit of the condition number's root: measured on soft and
 // stiff bodies of 1,500 and 7,700 vertices, rounded down, as a factor is still there when they turn out to be more.
 constexpr double iterations_a_root = 0.1;
+// Conjugate gradients get so many iterations at least: a few too many cost less than a factor for one direction.
+constexpr int fewest_iterations = 300;
+// What is left of a Newton system's residual. An iteration of Newton's method costs as much as twenty of conjugate gradients, and
+// single precision has no more digits than the smaller one.
+constexpr double loosest_direction = 0.03, tightest_direction = 1e-4;
 // How much of the way to where inertia leads, in halves, a step may start from.
 constexpr double least_inertia = -0.2, greatest_inertia = 2.2;
 
@@ -269,7 +274,8 @@ std::optional<Vector> ImplicitEuler::Step::direction(const Trial& from, double l
   };
   if (!factored_ && iterative_) {
     if (!assemble_lanes(from.positions, definiteness)) return std::nullopt;
-    const int most = std::min(iterations_worth_a_factor(lane_iteration()), p_.newton.most_linear_iterations);
+    const int most =
+        std::min(std::max(iterations_worth_a_factor(lane_iteration()), fewest_iterations), p_.newton.most_linear_iterations);
     if (expected_iterations(linear_tolerance) <= most) {
       const LinearReport linear = counted(p_.lanes.solve(right, linear_tolerance, most, result));
       if (linear.negative_curvature) return std::nullopt;
@@ -335,7 +341,7 @@ bool ImplicitEuler::Step::advance(Trial& trial, const Vector& direction) const {
 
 Positions ImplicitEuler::Step::solve() {
   Trial trial = start();
-  double linear_tolerance = 0.1;
+  double linear_tolerance = loosest_direction;
   // The exact tangent leads home fastest from nearby. Far away it is mostly indefinite, and the convex one points downhill.
   bool near = false;
   StepReport& report = p_.report;
@@ -353,8 +359,8 @@ Positions ImplicitEuler::Step::solve() {
     const double gain = trial.size / before;
     near = gain < near_gain || report.iterations >= most_far_iterations;
     // As exact as Newton's method will converge, but no better than the step needs.
-    linear_tolerance = std::clamp(0.5 * gain * gain, 1e-6, 0.1);
-    linear_tolerance = std::max(linear_tolerance, std::min(0.3 * p_.newton.tolerance / trial.relative, 0.1));
+    linear_tolerance = std::clamp(0.5 * gain * gain, tightest_direction, loosest_direction);
+    linear_tolerance = std::max(linear_tolerance, std::min(0.3 * p_.newton.tolerance / trial.relative, loosest_direction));
   }
   report.residual = trial.relative;
   report.converged = within_tolerance(trial);
