@@ -35,9 +35,14 @@ constexpr double solve_nanoseconds = 0.3, block_nanoseconds = 10, vector_nanosec
 constexpr double iterations_a_root = 0.1;
 // Conjugate gradients get so many iterations at least: a few too many cost less than a factor for one direction.
 constexpr int fewest_iterations = 300;
-// What is left of a Newton system's residual. An iteration of Newton's method costs as much as twenty of conjugate gradients, and
-// single precision has no more digits than the smaller one.
-constexpr double loosest_direction = 0.03, tightest_direction = 1e-4;
+// What is left of a Newton system's residual: loosest, tightest. In single precision exactness is cheap, as an iteration of
+// Newton's method costs as much as twenty of conjugate gradients, but has fewer digits.
+struct LinearTolerances {
+  double loosest, tightest;
+};
+constexpr LinearTolerances single_tolerances{0.03, 1e-4}, factored_tolerances{0.1, 1e-6};
+// Where Newton's method takes longer than this, something is crushed, and the last digits of directions count.
+constexpr int most_single_iterations = 10;
 // How much of the way to where inertia leads, in halves, a step may start from.
 constexpr double least_inertia = -0.2, greatest_inertia = 2.2;
 
@@ -341,7 +346,7 @@ bool ImplicitEuler::Step::advance(Trial& trial, const Vector& direction) const {
 
 Positions ImplicitEuler::Step::solve() {
   Trial trial = start();
-  double linear_tolerance = loosest_direction;
+  double linear_tolerance = single_tolerances.loosest;
   // The exact tangent leads home fastest from nearby. Far away it is mostly indefinite, and the convex one points downhill.
   bool near = false;
   StepReport& report = p_.report;
@@ -355,12 +360,18 @@ Positions ImplicitEuler::Step::solve() {
       advanced = newton && advance(trial, *newton);
       if (advanced) break;
     }
+    if (!advanced && iterative_) {  // a factor may know better
+      iterative_ = false;
+      continue;
+    }
     if (!advanced) break;
     const double gain = trial.size / before;
+    if (report.iterations >= most_single_iterations) iterative_ = false;
     near = gain < near_gain || report.iterations >= most_far_iterations;
     // As exact as Newton's method will converge, but no better than the step needs.
-    linear_tolerance = std::clamp(0.5 * gain * gain, tightest_direction, loosest_direction);
-    linear_tolerance = std::max(linear_tolerance, std::min(0.3 * p_.newton.tolerance / trial.relative, loosest_direction));
+    const LinearTolerances& bounds = iterative_ ? single_tolerances : factored_tolerances;
+    linear_tolerance = std::clamp(0.5 * gain * gain, bounds.tightest, bounds.loosest);
+    linear_tolerance = std::max(linear_tolerance, std::min(0.3 * p_.newton.tolerance / trial.relative, bounds.loosest));
   }
   report.residual = trial.relative;
   report.converged = within_tolerance(trial);
