@@ -279,9 +279,9 @@ std::optional<Vector> ImplicitEuler::Step::direction(const Trial& from, double l
   };
   if (!factored_ && iterative_) {
     if (!assemble_lanes(from.positions, definiteness)) return std::nullopt;
-    const int most =
-        std::min(std::max(iterations_worth_a_factor(lane_iteration()), fewest_iterations), p_.newton.most_linear_iterations);
-    if (expected_iterations(linear_tolerance) <= most) {
+    const int worthwhile = std::max(iterations_worth_a_factor(lane_iteration()), fewest_iterations);
+    const int most = std::min(worthwhile, p_.newton.most_linear_iterations);
+    if (expected_iterations(linear_tolerance) <= worthwhile) {
       const LinearReport linear = counted(p_.lanes.solve(right, linear_tolerance, most, result));
       if (linear.negative_curvature) return std::nullopt;
       if (linear.converged || most == p_.newton.most_linear_iterations) return result;
