@@ -235,7 +235,12 @@ BENCHMARK_CAPTURE(dance, preview, NewtonSettings::preview())->Apply(dances);
 BENCHMARK_CAPTURE(dance, fine, NewtonSettings::fine())->Apply(dances);
 BENCHMARK_CAPTURE(dance, converged, NewtonSettings::converged())->Apply(dances);
 void large(benchmark::internal::Benchmark* bench) {
-  bench->ArgNames({"edge", "modulus"})->Args({55, 50000})->Iterations(3)->UseRealTime()->Unit(benchmark::kMillisecond);
+  bench->ArgNames({"edge", "modulus"})
+      ->Args({55, 50000})
+      ->Args({55, 5000000})
+      ->Iterations(3)
+      ->UseRealTime()
+      ->Unit(benchmark::kMillisecond);
 }
 BENCHMARK_CAPTURE(large_dance, preview, NewtonSettings::preview())->Apply(large);
 BENCHMARK_CAPTURE(large_dance, fine, NewtonSettings::fine())->Apply(large);

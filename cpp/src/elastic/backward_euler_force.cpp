@@ -52,19 +52,7 @@ BackwardEulerForce::BackwardEulerForce(const ElasticBody& body, double dt, Preci
   }
   single_away_.resize(count);
   single_force_.resize(count);
-  const std::size_t tets = body_.elements_.size();
   single_masses_.assign(body_.masses_.begin(), body_.masses_.end());
-  single_batches_.resize((tets + single_lanes - 1) / single_lanes);
-  for (std::size_t tet = 0; tet < single_batches_.size() * single_lanes; ++tet) {
-    const ElasticBody::Element& element = body_.elements_[std::min(tet, tets - 1)];  // lanes to spare repeat the last one
-    SingleBatchConstants& batch = single_batches_[tet / single_lanes];
-    const std::size_t lane = tet % single_lanes;
-    for (int k = 0; k < 9; ++k) batch.gradients[k][lane] = static_cast<float>(element.gradients(k / 3, k % 3));
-    batch.mu[lane] = static_cast<float>(element.constants.mu);
-    batch.lambda[lane] = static_cast<float>(element.constants.lambda);
-    batch.compression_resistance[lane] = static_cast<float>(element.constants.compression_resistance);
-    batch.volume[lane] = static_cast<float>(element.volume);
-  }
 }
 
 BackwardEulerForce::~BackwardEulerForce() = default;
@@ -75,7 +63,7 @@ void BackwardEulerForce::add_single_forces() {
     const ElementRun run{body_.corners_[first].data(), static_cast<int>(last - first)};
     kernel.mass(&single_masses_[first], run, &single_away_.front().x, &single_force_.front().x);
     const std::uint64_t beyond =
-        kernel.forces(&single_batches_[first / single_lanes], run, &positions_.front().x, static_cast<float>(square_),
+        kernel.forces(&body_.single_batches_[first / single_lanes], run, &positions_.front().x, static_cast<float>(square_),
                       static_cast<float>(InvertibleStVK::smallest_stretch), &single_force_.front().x);
     for (int k = 0; k < run.count && beyond >> k != 0; ++k) {
       if (beyond >> k & 1) body_.add_force(first + static_cast<std::size_t>(k), positions_, material_, square_, single_force_);

@@ -40,6 +40,8 @@ class BlockMatrix {
   /// y = this * x; both 3 numbers a row.
   void multiply(const double* x, double* y) const;
 
+  /// @return place in blocks() of a tet's corner a's row, corner b's column; -1: none
+  Index slot(std::size_t tet, int a, int b) const { return slots_[tet][4 * a + b]; }
   const std::vector<Index>& starts() const { return starts_; }
   const std::vector<Index>& columns() const { return columns_; }  ///< ascending in every row
   const std::vector<Index>& diagonal() const { return diagonal_; }

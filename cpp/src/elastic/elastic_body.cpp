@@ -10,6 +10,7 @@
 #include "elastic/block_matrix.hpp"
 #include "elastic/element_batch.hpp"
 #include "elastic/element_colors.hpp"
+#include "elastic/lane_rows.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
 
@@ -21,7 +22,7 @@ using Eigen::Vector3d;
 using Corners = Eigen::Matrix<double, 3, 4>;  // a column each
 
 // What a tet takes on one core.
-constexpr double force_nanoseconds = 20, stiffness_nanoseconds = 200, mass_nanoseconds = 5;
+constexpr double force_nanoseconds = 20, stiffness_nanoseconds = 200, single_stiffness_nanoseconds = 40, mass_nanoseconds = 5;
 // The same for materials and elements without a closed form.
 constexpr double decomposed_nanoseconds = 1500;
 
@@ -55,28 +56,28 @@ struct Kernels {
   std::uint64_t (*forces)(const BatchConstants*, const ElementRun&, const double*, double, double, double*, double*) noexcept;
   void (*mass)(const double*, const ElementRun&, const double*, double*) noexcept;
   decltype(&baseline::batch_stiffness) stiffness;
+  decltype(&baseline::run_stiffness) single_stiffness;
+  decltype(&baseline::store_stiffness) store_stiffness;
 };
 
 Kernels kernels() {
   switch (instruction_set()) {
 #ifdef FOLLOWTHROUGH_HAS_avx512
     case InstructionSet::avx512:
-      return {avx512::cluster_forces, avx512::cluster_mass, avx512::batch_stiffness};
+      return {avx512::cluster_forces, avx512::cluster_mass, avx512::batch_stiffness, avx512::run_stiffness,
+              avx512::store_stiffness};
 #endif
 #ifdef FOLLOWTHROUGH_HAS_avx2
     case InstructionSet::avx2:
-      return {avx2::cluster_forces, avx2::cluster_mass, avx2::batch_stiffness};
+      return {avx2::cluster_forces, avx2::cluster_mass, avx2::batch_stiffness, avx2::run_stiffness, avx2::store_stiffness};
 #endif
     default:
-      return {baseline::cluster_forces, baseline::cluster_mass, baseline::batch_stiffness};
+      return {baseline::cluster_forces, baseline::cluster_mass, baseline::batch_stiffness, baseline::run_stiffness,
+              baseline::store_stiffness};
   }
 }
 
 bool has_closed_form(const Material& material) { return dynamic_cast<const InvertibleStVK*>(&material) != nullptr; }
-
-std::vector<BatchConstants> empty_batches(std::size_t tets) {
-  return std::vector<BatchConstants>((tets + batch_lanes - 1) / batch_lanes, BatchConstants{});
-}
 
 PaddedPositions padded(ConstPositions positions) {
   PaddedPositions all(static_cast<std::size_t>(positions.rows()));
@@ -151,19 +152,27 @@ ElasticBody ElasticBody::around(ConstMask vertices) const {
   return part;
 }
 
+template <typename Constants>
+void ElasticBody::fill_batches(std::vector<Constants>& batches) const {
+  using Real = typename Constants::Real;
+  constexpr std::size_t lanes = Constants::lanes;
+  batches.resize((elements_.size() + lanes - 1) / lanes);
+  for (std::size_t tet = 0; tet < batches.size() * lanes; ++tet) {
+    const Element& element = elements_[std::min(tet, elements_.size() - 1)];  // lanes to spare repeat the last one
+    Constants& batch = batches[tet / lanes];
+    const std::size_t lane = tet % lanes;
+    for (int k = 0; k < 9; ++k) batch.gradients[k][lane] = static_cast<Real>(element.gradients(k / 3, k % 3));
+    batch.mu[lane] = static_cast<Real>(element.constants.mu);
+    batch.lambda[lane] = static_cast<Real>(element.constants.lambda);
+    batch.compression_resistance[lane] = static_cast<Real>(element.constants.compression_resistance);
+    batch.volume[lane] = static_cast<Real>(element.volume);
+  }
+}
+
 // Puts the elements into batches and the batches into colours.
 void ElasticBody::arrange() {
-  batches_ = empty_batches(elements_.size());
-  for (std::size_t tet = 0; tet < batches_.size() * batch_lanes; ++tet) {
-    const Element& element = elements_[std::min(tet, elements_.size() - 1)];  // lanes to spare repeat the last one
-    BatchConstants& batch = batches_[tet / batch_lanes];
-    const std::size_t lane = tet % batch_lanes;
-    for (int k = 0; k < 9; ++k) batch.gradients[k][lane] = element.gradients(k / 3, k % 3);
-    batch.mu[lane] = element.constants.mu;
-    batch.lambda[lane] = element.constants.lambda;
-    batch.compression_resistance[lane] = element.constants.compression_resistance;
-    batch.volume[lane] = element.volume;
-  }
+  fill_batches(batches_);
+  fill_batches(single_batches_);
   masses_.clear();
   for (const Element& element : elements_) masses_.push_back(element.mass);
   ElementColors colors = color_elements(corners_, vertex_count_);
@@ -219,6 +228,16 @@ void ElasticBody::load_edges(std::size_t batch, ConstPositions positions, Elemen
   }
 }
 
+Matrix3d ElasticBody::deformation_gradient(std::size_t tet, const PaddedPositions& positions) const {
+  const auto at = [&](int corner) {
+    const Padded<double>& p = positions[corners_[tet][corner]];
+    return Vector3d(p.x, p.y, p.z);
+  };
+  Matrix3d edges;
+  for (int k = 0; k < 3; ++k) edges.col(k) = at(k + 1) - at(0);
+  return edges * elements_[tet].gradients;
+}
+
 Matrix3d ElasticBody::deformation_gradient(std::size_t tet, ConstPositions positions) const {
   const std::array<Index, 4>& v = corners_[tet];
   Matrix3d edges;
@@ -237,13 +256,7 @@ template <typename Real>
 double ElasticBody::add_force(std::size_t tet, const PaddedPositions& positions, const Material& material, double scale,
                               std::vector<Padded<Real>>& forces) const {
   const Element& element = elements_[tet];
-  const auto at = [&](int corner) {
-    const Padded<double>& p = positions[corners_[tet][corner]];
-    return Vector3d(p.x, p.y, p.z);
-  };
-  Matrix3d edges;
-  for (int k = 0; k < 3; ++k) edges.col(k) = at(k + 1) - at(0);
-  const SignedSvd svd = signed_svd(edges * element.gradients);
+  const SignedSvd svd = signed_svd(deformation_gradient(tet, positions));
   const PrincipalResponse response = material.respond(svd.stretches, element.constants);
   const Matrix3d stress = svd.u * (scale * element.volume * response.stress).asDiagonal() * svd.v.transpose();
   const Corners at_corners = stress * corner_gradients(element.gradients);
@@ -323,11 +336,12 @@ Positions ElasticBody::mass_product(ConstPositions values) const {
   return unpadded(products);
 }
 
-// Any element of any material.
-void ElasticBody::add_stiffness(std::size_t tet, ConstPositions positions, const Material& material, Definiteness definiteness,
-                                double scale, BlockMatrix& matrix) const {
+// Any element of any material: add(a, b, block) for the corners a <= b.
+template <typename Add>
+void ElasticBody::for_stiffness_blocks(std::size_t tet, const Matrix3d& gradient, const Material& material,
+                                       Definiteness definiteness, double scale, const Add& add) const {
   const Element& element = elements_[tet];
-  const StressDerivative d = material.stress_derivative(deformation_gradient(tet, positions), element.constants, definiteness);
+  const StressDerivative d = material.stress_derivative(gradient, element.constants, definiteness);
   const Corners g = d.v.transpose() * corner_gradients(element.gradients);
   for (int a = 0; a < 4; ++a) {
     for (int b = a; b < 4; ++b) {
@@ -340,7 +354,44 @@ void ElasticBody::add_stiffness(std::size_t tet, ConstPositions positions, const
         block(i, j) += d.across[k] * g(j, a) * g(i, b);
         block(j, i) += d.across[k] * g(i, a) * g(j, b);
       }
-      matrix.add(tet, a, b, scale * element.volume * (d.u * block * d.u.transpose()));
+      add(a, b, scale * element.volume * (d.u * block * d.u.transpose()));
+    }
+  }
+}
+
+std::size_t ElasticBody::stiffness_size() const { return elements_.size() * stiffness_floats + single_lanes; }
+
+void ElasticBody::element_stiffness(const PaddedPositions& positions, const Material& material, Definiteness definiteness,
+                                    double scale, std::vector<float>& stiffness) const {
+  require_rows("positions", static_cast<Eigen::Index>(positions.size()), vertex_count_);
+  require_rows("stiffness", static_cast<Eigen::Index>(stiffness.size()), static_cast<Eigen::Index>(stiffness_size()));
+  const Kernels kernel = kernels();
+  const bool convex = definiteness == Definiteness::kConvex;
+  const bool closed_form = has_closed_form(material) && definiteness != Definiteness::kSemidefinite;
+  const Definiteness other = convex ? Definiteness::kSemidefinite : definiteness;
+  const auto runs = static_cast<std::ptrdiff_t>(single_batches_.size());
+  const double nanoseconds = single_lanes * (closed_form ? single_stiffness_nanoseconds : decomposed_nanoseconds);
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(runs, nanoseconds))
+  for (std::ptrdiff_t index = 0; index < runs; ++index) {
+    const std::size_t first = static_cast<std::size_t>(index) * single_lanes;
+    const ElementRun run{corners_[first].data(), static_cast<int>(std::min<std::size_t>(single_lanes, elements_.size() - first))};
+    SingleStiffness lanes{};
+    if (closed_form) {
+      kernel.single_stiffness(single_batches_[static_cast<std::size_t>(index)], run, &positions.front().x,
+                              static_cast<float>(scale), static_cast<float>(InvertibleStVK::smallest_stretch), convex, lanes);
+      kernel.store_stiffness(lanes, run.count, stiffness.data() + first * stiffness_floats);
+    }
+    for (int lane = 0; lane < run.count; ++lane) {
+      if (closed_form && lanes.inside[lane] != 0) continue;
+      const std::size_t tet = first + static_cast<std::size_t>(lane);
+      float* const to = stiffness.data() + tet * stiffness_floats;
+      for_stiffness_blocks(tet, deformation_gradient(tet, positions), material, other, scale,
+                           [&](int a, int b, const Matrix3d& block) {
+                             const auto* const pair = std::find_if(std::begin(stiffness_corners), std::end(stiffness_corners),
+                                                                   [&](const int (&p)[2]) { return p[0] == a && p[1] == b; });
+                             float* const at = to + 9 * (pair - std::begin(stiffness_corners));
+                             for (int k = 0; k < 9; ++k) at[k] = static_cast<float>(block(k / 3, k % 3));
+                           });
     }
   }
 }
@@ -361,7 +412,8 @@ void ElasticBody::add_stiffness(ConstPositions positions, const Material& materi
                 for (std::size_t tet = first; tet < last; ++tet) {
                   const std::size_t lane = tet - first;
                   if (!closed_form || batch.inside[lane] == 0) {
-                    add_stiffness(tet, positions, material, other, scale, matrix);
+                    for_stiffness_blocks(tet, deformation_gradient(tet, positions), material, other, scale,
+                                         [&](int a, int b, const Matrix3d& block) { matrix.add(tet, a, b, block); });
                     continue;
                   }
                   // Corner 0 has minus the sum of the others, as row and as column.

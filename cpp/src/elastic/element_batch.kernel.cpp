@@ -103,6 +103,7 @@ struct Matrix {
 inline Doubles load(const double* from) noexcept { return *reinterpret_cast<const Doubles*>(from); }
 inline Singles load(const float* from) noexcept { return *reinterpret_cast<const Singles*>(from); }
 inline void store(const Doubles& value, double* to) noexcept { *reinterpret_cast<Doubles*>(to) = value; }
+inline void store(const Singles& value, float* to) noexcept { *reinterpret_cast<Singles*>(to) = value; }
 template <typename Real, int lanes>
 inline Vector<NumberOf<Real>> load(const Real (*from)[lanes], int lane) noexcept {
   return {load(from[0] + lane), load(from[1] + lane), load(from[2] + lane)};
@@ -111,7 +112,8 @@ template <typename Real, int lanes>
 inline Matrix<NumberOf<Real>> load_matrix(const Real (*from)[lanes], int lane) noexcept {
   return {load(from, lane), load(from + 3, lane), load(from + 6, lane)};
 }
-inline void store(const Vector<Doubles>& v, double (*to)[batch_lanes], int lane) noexcept {
+template <typename Real, int lanes>
+inline void store(const Vector<NumberOf<Real>>& v, Real (*to)[lanes], int lane) noexcept {
   store(v.x, to[0] + lane);
   store(v.y, to[1] + lane);
   store(v.z, to[2] + lane);
@@ -343,6 +345,20 @@ inline void items(const Vector<Number>& v, Four (&item)[lanes]) noexcept {
 }
 #endif
 
+// The edges of lanes_at_once elements, of which `used` are there: differences in double precision, as exact far away.
+template <typename Real>
+FOLLOWTHROUGH_INLINE Matrix<NumberOf<Real>> edges_of(const std::int32_t* corners, int used, const double* positions) noexcept {
+  using Number = NumberOf<Real>;
+  FourOf<Real> edge[3][lanes_at_once<Real>];
+  for (int t = 0; t < lanes_at_once<Real>; ++t) {
+    const std::int32_t* v = corners + 4 * (t < used ? t : used - 1);
+    const FourDoubles origin = load_four(positions + 4 * static_cast<std::int64_t>(v[0]));
+    for (int a = 0; a < 3; ++a) convert(minus(load_four(positions + 4 * static_cast<std::int64_t>(v[a + 1])), origin), edge[a][t]);
+  }
+  const Vector<Number> first = coordinates(edge[0]), second = coordinates(edge[1]), third = coordinates(edge[2]);
+  return {{first.x, second.x, third.x}, {first.y, second.y, third.y}, {first.z, second.z, third.z}};
+}
+
 // The forces of lanes_at_once elements from `tet` on, of which `used` are in the run.
 template <typename Constants, typename Real = typename Constants::Real>
 FOLLOWTHROUGH_INLINE std::uint64_t add_forces(const Constants& k, int lane, const std::int32_t* corners, int used,
@@ -351,14 +367,7 @@ FOLLOWTHROUGH_INLINE std::uint64_t add_forces(const Constants& k, int lane, cons
   using Number = NumberOf<Real>;
   using Four = FourOf<Real>;
   constexpr int lanes = lanes_at_once<Real>;
-  Four edge[3][lanes];
-  for (int t = 0; t < lanes; ++t) {
-    const std::int32_t* v = corners + 4 * (t < used ? t : used - 1);
-    const FourDoubles origin = load_four(positions + 4 * static_cast<std::int64_t>(v[0]));
-    for (int a = 0; a < 3; ++a) convert(minus(load_four(positions + 4 * static_cast<std::int64_t>(v[a + 1])), origin), edge[a][t]);
-  }
-  const Vector<Number> first = coordinates(edge[0]), second = coordinates(edge[1]), third = coordinates(edge[2]);
-  const Matrix<Number> edges = {{first.x, second.x, third.x}, {first.y, second.y, third.y}, {first.z, second.z, third.z}};
+  const Matrix<Number> edges = edges_of<Real>(corners, used, positions);
   const Strain<Number> r = strain(k, edges, lane, smallest_stretch, energies != nullptr);
   const Matrix<Number> g = load_matrix(k.gradients, lane);
   const Number volume = load(k.volume + lane) * scale;
@@ -416,20 +425,76 @@ inline void add_cluster_mass(const Real* masses, const ElementRun& run, const Re
   }
 }
 
-using Number = Doubles;
-using Vec = Vector<Doubles>;
-
 // 1 where a symmetric matrix is positive definite, 0 elsewhere.
-inline Number share_of_stress(const Matrix<Number>& s) noexcept {
+template <typename Real>
+inline NumberOf<Real> share_of_stress(const Matrix<NumberOf<Real>>& s) noexcept {
+  using Number = NumberOf<Real>;
   const Number minor = s.x.x * s.y.y - s.x.y * s.x.y;
   const Number none = minor - minor;
-  return (s.x.x > 0.0) & (minor > 0.0) & (dot(s.x, cross(s.y, s.z)) > 0.0) ? none + 1.0 : none;
+  return (s.x.x > Real(0)) & (minor > Real(0)) & (dot(s.x, cross(s.y, s.z)) > Real(0)) ? none + Real(1) : none;
 }
 
 // A row of a stiffness block: rows of the terms named at the top.
-inline Vec block_row(const Number& near, const Vec& left, const Number& by_a, const Vec& moved_a, const Number& by_c,
-                     const Vec& moved_c, const Number& by_normal, const Vec& normal_c) noexcept {
+template <typename Number>
+inline Vector<Number> block_row(const Number& near, const Vector<Number>& left, const Number& by_a, const Vector<Number>& moved_a,
+                                const Number& by_c, const Vector<Number>& moved_c, const Number& by_normal,
+                                const Vector<Number>& normal_c) noexcept {
   return sum(sum(times(left, near), times(moved_a, by_c)), sum(times(moved_c, by_a), times(normal_c, by_normal)));
+}
+
+// scale times the blocks of the corner pairs 11, 12, 13, 22, 23, 33.
+template <typename Constants, typename Real = typename Constants::Real>
+FOLLOWTHROUGH_INLINE void store_blocks(const Constants& k, const Matrix<NumberOf<Real>>& edges, int lane, Real scale,
+                                       Real smallest_stretch, bool convex, Real (*blocks)[9][Constants::lanes],
+                                       Real* inside) noexcept {
+  using Number = NumberOf<Real>;
+  using Vec = Vector<Number>;
+  const Strain<Number> r = strain(k, edges, lane, smallest_stretch, false);
+  store(r.inside, inside + lane);
+  const Number v = load(k.volume + lane) * scale, mu = v * load(k.mu + lane), lambda = v * load(k.lambda + lane);
+  const Number bulk = v * r.bulk, pressure = convex ? v - v : v * r.pressure;
+  const Number keep = convex ? share_of_stress<Real>(r.s) : v - v + Real(1);
+  const Matrix<Number> left = {product(r.f, r.f.x), product(r.f, r.f.y), product(r.f, r.f.z)};  // F F^T
+  Vec g[3], moved[3], normal[3], pulled[3];                                                     // a corner each: g, F g, A g, S g
+  for (int a = 0; a < 3; ++a) {
+    g[a] = load(k.gradients + 3 * a, lane);
+    moved[a] = product(r.f, g[a]);
+    normal[a] = product(r.cofactors, g[a]);
+    pulled[a] = product(r.s, g[a]);
+  }
+  int pair = 0;
+  for (int a = 0; a < 3; ++a) {
+    for (int c = a; c < 3; ++c) {
+      const Number pull = v * keep * dot(g[a], pulled[c]), near = mu * dot(g[a], g[c]);
+      const Vec axis = times(product(r.f, cross(g[a], g[c])), pressure);
+      const Vec by_a = times(moved[a], lambda), by_c = times(moved[c], mu), by_normal = times(normal[a], bulk);
+      Vec x = block_row(near, left.x, by_a.x, moved[a], by_c.x, moved[c], by_normal.x, normal[c]);
+      Vec y = block_row(near, left.y, by_a.y, moved[a], by_c.y, moved[c], by_normal.y, normal[c]);
+      Vec z = block_row(near, left.z, by_a.z, moved[a], by_c.z, moved[c], by_normal.z, normal[c]);
+      x = {x.x + pull, x.y + axis.z, x.z - axis.y};
+      y = {y.x - axis.z, y.y + pull, y.z + axis.x};
+      z = {z.x + axis.y, z.y - axis.x, z.z + pull};
+      store(x, blocks[pair], lane);
+      store(y, blocks[pair] + 3, lane);
+      store(z, blocks[pair] + 6, lane);
+      ++pair;
+    }
+  }
+}
+
+// Corner 0 has minus the sum of the others, as row and as column: the blocks 01, 02, 03, 00 from the six before them.
+inline void store_first_corner(float (*blocks)[9][single_lanes], int lane) noexcept {
+  constexpr int turned[9] = {0, 3, 6, 1, 4, 7, 2, 5, 8};
+  for (int k = 0; k < 9; ++k) {
+    const auto at = [&](int block) { return load(blocks[block][k] + lane); };
+    const auto other_way = [&](int block) { return load(blocks[block][turned[k]] + lane); };
+    const Singles first = at(0) + other_way(1) + other_way(2), second = at(1) + at(3) + other_way(4), third = at(2) + at(4) + at(5);
+    const Singles none = first - first;
+    store(none - first, blocks[6][k] + lane);
+    store(none - second, blocks[7][k] + lane);
+    store(none - third, blocks[8][k] + lane);
+    store(first + second + third, blocks[9][k] + lane);
+  }
 }
 
 }  // namespace
@@ -461,37 +526,17 @@ void cluster_mass(const float* masses, const ElementRun& run, const float* value
 
 void batch_stiffness(const BatchConstants& k, ElementBatch& b, double smallest_stretch, bool convex) noexcept {
   for (int lane = 0; lane < batch_lanes; lane += lanes_at_once<double>) {
-    const Strain<Number> r = strain(k, load_matrix(b.edges, lane), lane, smallest_stretch, false);
-    store(r.inside, b.inside + lane);
-    const Number v = load(k.volume + lane), mu = v * load(k.mu + lane), lambda = v * load(k.lambda + lane);
-    const Number bulk = v * r.bulk, pressure = convex ? v - v : v * r.pressure;
-    const Number keep = convex ? share_of_stress(r.s) : v - v + 1.0;
-    const Matrix<Number> left = {product(r.f, r.f.x), product(r.f, r.f.y), product(r.f, r.f.z)};  // F F^T
-    Vec g[3], moved[3], normal[3], pulled[3];                                                     // a corner each: g, F g, A g, S g
-    for (int a = 0; a < 3; ++a) {
-      g[a] = load(k.gradients + 3 * a, lane);
-      moved[a] = product(r.f, g[a]);
-      normal[a] = product(r.cofactors, g[a]);
-      pulled[a] = product(r.s, g[a]);
-    }
-    int pair = 0;
-    for (int a = 0; a < 3; ++a) {
-      for (int c = a; c < 3; ++c) {
-        const Number pull = v * keep * dot(g[a], pulled[c]), near = mu * dot(g[a], g[c]);
-        const Vec axis = times(product(r.f, cross(g[a], g[c])), pressure);
-        const Vec by_a = times(moved[a], lambda), by_c = times(moved[c], mu), by_normal = times(normal[a], bulk);
-        Vec x = block_row(near, left.x, by_a.x, moved[a], by_c.x, moved[c], by_normal.x, normal[c]);
-        Vec y = block_row(near, left.y, by_a.y, moved[a], by_c.y, moved[c], by_normal.y, normal[c]);
-        Vec z = block_row(near, left.z, by_a.z, moved[a], by_c.z, moved[c], by_normal.z, normal[c]);
-        x = {x.x + pull, x.y + axis.z, x.z - axis.y};
-        y = {y.x - axis.z, y.y + pull, y.z + axis.x};
-        z = {z.x + axis.y, z.y - axis.x, z.z + pull};
-        store(x, b.blocks[pair], lane);
-        store(y, b.blocks[pair] + 3, lane);
-        store(z, b.blocks[pair] + 6, lane);
-        ++pair;
-      }
-    }
+    store_blocks(k, load_matrix(b.edges, lane), lane, 1.0, smallest_stretch, convex, b.blocks, b.inside);
+  }
+}
+
+void run_stiffness(const SingleBatchConstants& k, const ElementRun& run, const double* positions, float scale,
+                   float smallest_stretch, bool convex, SingleStiffness& out) noexcept {
+  for (int lane = 0; lane < single_lanes; lane += lanes_at_once<float>) {
+    const int first = lane < run.count ? lane : run.count - 1;  // lanes to spare repeat the last element
+    const Matrix<Singles> edges = edges_of<float>(run.corners + 4 * first, run.count - first, positions);
+    store_blocks(k, edges, lane, scale, smallest_stretch, convex, out.blocks, out.inside);
+    store_first_corner(out.blocks, lane);
   }
 }
 

@@ -9,6 +9,7 @@
 #include "elastic/block_matrix.hpp"
 #include "elastic/conjugate_gradients.hpp"
 #include "elastic/descent.hpp"
+#include "elastic/lane_system.hpp"
 #include "elastic/local_rotations.hpp"
 #include "elastic/sparse_cholesky.hpp"
 #include "followthrough/errors.hpp"
@@ -28,10 +29,20 @@ constexpr int most_far_iterations = 3;
 // What a factorization takes for each multiplication and each vertex; and an iteration for each number of the factor, each block of
 // the matrix and each vertex. Fixed numbers rather than a clock, so that results are the same everywhere.
 constexpr double multiplication_nanoseconds = 0.04, row_nanoseconds = 900;
-constexpr double solve_nanoseconds = 0.3, block_nanoseconds = 10, vector_nanoseconds = 30;
+constexpr double solve_nanoseconds = 0.3, block_nanoseconds = 10, vector_nanoseconds = 30, lane_block_nanoseconds = 2.5;
 // Iterations with the diagonal for each e-fold of the residual and each unit of the condition number's root: measured on soft and
 // stiff bodies of 1,500 and 7,700 vertices, rounded down, as a factor is still there when they turn out to be more.
 constexpr double iterations_a_root = 0.1;
+// Conjugate gradients get so many iterations at least: a few too many cost less than a factor for one direction.
+constexpr int fewest_iterations = 300;
+// What is left of a Newton system's residual: loosest, tightest. In single precision exactness is cheap, as an iteration of
+// Newton's method costs as much as twenty of conjugate gradients, but has fewer digits.
+struct LinearTolerances {
+  double loosest, tightest;
+};
+constexpr LinearTolerances single_tolerances{0.03, 1e-4}, factored_tolerances{0.1, 1e-6};
+// Where Newton's method takes longer than this, something is crushed, and the last digits of directions count.
+constexpr int most_single_iterations = 10;
 // How much of the way to where inertia leads, in halves, a step may start from.
 constexpr double least_inertia = -0.2, greatest_inertia = 2.2;
 
@@ -49,6 +60,21 @@ struct Evaluation {
   PaddedPositions positions, away, elastic, inertia;
 };
 
+// The matrix in double precision and what is constant of it, made when a factor is needed for the first time.
+struct Assembled {
+  BlockMatrix matrix, constant;
+};
+
+// Of a step's matrix: mass, its damping, and pins.
+BlockMatrix constant_part(const ElasticBody& body, double dt, const ExternalForces& forces, const std::vector<Index>& rows) {
+  BlockMatrix constant(body.corners(), rows);
+  body.add_mass(1 + dt * forces.mass_damping, constant);
+  for (Eigen::Index v = 0; v < forces.pin_stiffness.size(); ++v) {
+    if (rows[v] >= 0) constant.add_to_diagonal(rows[v], dt * dt * forces.pin_stiffness[v] * BlockMatrix::Block::Identity());
+  }
+  return constant;
+}
+
 Eigen::RowVector3d row_of(const PaddedPositions& all, Index v) { return {all[v].x, all[v].y, all[v].z}; }
 
 }  // namespace
@@ -59,9 +85,11 @@ struct ImplicitEuler::Parts {
   double dt;
   NewtonSettings newton;
   ExternalForces forces;
-  std::vector<Index> rows, free;          // row of every vertex or -1; vertex of every row
-  BlockMatrix matrix, constant, damping;  // constant: mass, its damping, and pins
+  std::vector<Index> rows, free;  // row of every vertex or -1; vertex of every row
+  LaneSystem lanes;
+  std::vector<float> stiffness, damping;  // of the elements; damping: none, mostly
   SparseCholesky factor;
+  std::optional<Assembled> assembled;
   BlockDiagonal diagonal;
   Evaluation evaluation;
   LocalRotations rotations;
@@ -79,22 +107,25 @@ class ImplicitEuler::Step {
     inertial_ = 2 * p_.positions - p_.before;
     inertial_.rowwise() += square * p_.forces.gravity.transpose();
     if (p_.forces.stiffness_damping > 0) {
-      p_.damping.set_zero();
-      p_.body.add_stiffness(p_.positions, *p_.material, Definiteness::kSemidefinite, p_.dt * p_.forces.stiffness_damping,
-                            p_.damping);
+      p_.damping.resize(p_.stiffness.size());
+      pad(p_.positions);
+      p_.body.element_stiffness(p_.evaluation.positions, *p_.material, Definiteness::kSemidefinite,
+                                p_.dt * p_.forces.stiffness_damping * p_.lanes.unit(), p_.damping);
     }
   }
 
   Positions solve();
 
  private:
+  void pad(const Positions& positions) const;
   Trial evaluate(Positions positions) const;
   Trial start() const;
   bool within_tolerance(const Trial& trial) const { return trial.relative <= p_.newton.tolerance; }
-  void assemble(const Positions& positions, Definiteness definiteness) const;
+  bool assemble_lanes(const Positions& positions, Definiteness definiteness) const;
+  const BlockMatrix& assemble(const Positions& positions, Definiteness definiteness) const;
   std::optional<Vector> direction(const Trial& from, double linear_tolerance, Definiteness definiteness);
   double factor_iteration() const;
-  double diagonal_iteration() const;
+  double lane_iteration() const;
   int iterations_worth_a_factor(double iteration_nanoseconds) const;
   double expected_iterations(double linear_tolerance) const;
   bool advance(Trial& trial, const Vector& direction) const;
@@ -207,34 +238,60 @@ Trial ImplicitEuler::Step::start() const {
   return best;
 }
 
-void ImplicitEuler::Step::assemble(const Positions& positions, Definiteness definiteness) const {
-  p_.matrix.copy_values(p_.constant);
-  p_.body.add_stiffness(positions, *p_.material, definiteness, p_.dt * p_.dt, p_.matrix);
-  if (p_.forces.stiffness_damping > 0) p_.matrix.add(p_.damping);
+void ImplicitEuler::Step::pad(const Positions& positions) const {
+  PaddedPositions& padded = p_.evaluation.positions;
+  for (std::size_t v = 0; v < padded.size(); ++v) {
+    const auto row = static_cast<Eigen::Index>(v);
+    padded[v] = {positions(row, 0), positions(row, 1), positions(row, 2), 0};
+  }
+}
+
+// False where the matrix is not positive definite for certain.
+bool ImplicitEuler::Step::assemble_lanes(const Positions& positions, Definiteness definiteness) const {
+  pad(positions);
+  p_.body.element_stiffness(p_.evaluation.positions, *p_.material, definiteness, p_.dt * p_.dt * p_.lanes.unit(), p_.stiffness);
+  for (std::size_t k = 0; k < p_.damping.size(); ++k) p_.stiffness[k] += p_.damping[k];
+  return p_.lanes.assemble(p_.stiffness);
+}
+
+const BlockMatrix& ImplicitEuler::Step::assemble(const Positions& positions, Definiteness definiteness) const {
+  if (!p_.assembled) {
+    BlockMatrix constant = constant_part(p_.body, p_.dt, p_.forces, p_.rows);
+    p_.assembled.emplace(constant, constant);
+  }
+  BlockMatrix& matrix = p_.assembled->matrix;
+  matrix.copy_values(p_.assembled->constant);
+  p_.body.add_stiffness(positions, *p_.material, definiteness, p_.dt * p_.dt, matrix);
+  if (p_.forces.stiffness_damping > 0) {
+    p_.body.add_stiffness(p_.positions, *p_.material, Definiteness::kSemidefinite, p_.dt * p_.forces.stiffness_damping, matrix);
+  }
+  return matrix;
 }
 
 // Newton's direction; none where the matrix turns out to be indefinite.
 std::optional<Vector> ImplicitEuler::Step::direction(const Trial& from, double linear_tolerance, Definiteness definiteness) {
-  assemble(from.positions, definiteness);
   const Vector right = -from.residual;
   Vector result;
-  const auto solved = [&](const Preconditioner& preconditioner, int most_iterations) {
-    const LinearReport linear = followthrough::solve(p_.matrix, preconditioner, right, linear_tolerance, most_iterations, result);
+  const auto counted = [&](const LinearReport& linear) {
     p_.report.linear_iterations += linear.iterations;
     linear_iterations_ = linear.iterations;
     return linear;
   };
-  // Soft bodies need few iterations even without a factor.
   if (!factored_ && iterative_) {
-    const int most = std::min(iterations_worth_a_factor(diagonal_iteration()), p_.newton.most_linear_iterations);
-    if (expected_iterations(linear_tolerance) <= most) {
-      if (!p_.diagonal.compute(p_.matrix)) return std::nullopt;
-      const LinearReport linear = solved(p_.diagonal, most);
+    if (!assemble_lanes(from.positions, definiteness)) return std::nullopt;
+    const int worthwhile = std::max(iterations_worth_a_factor(lane_iteration()), fewest_iterations);
+    const int most = std::min(worthwhile, p_.newton.most_linear_iterations);
+    if (expected_iterations(linear_tolerance) <= worthwhile) {
+      const LinearReport linear = counted(p_.lanes.solve(right, linear_tolerance, most, result));
       if (linear.negative_curvature) return std::nullopt;
       if (linear.converged || most == p_.newton.most_linear_iterations) return result;
     }
     iterative_ = false;
   }
+  const BlockMatrix& matrix = assemble(from.positions, definiteness);
+  const auto solved = [&](const Preconditioner& preconditioner, int most_iterations) {
+    return counted(followthrough::solve(matrix, preconditioner, right, linear_tolerance, most_iterations, result));
+  };
   // An earlier factor will do as long as the iterations that it costs take less time than a new one.
   const int worthwhile = iterations_worth_a_factor(factor_iteration());
   if (factored_ && linear_iterations_ <= worthwhile / 2) {
@@ -242,10 +299,10 @@ std::optional<Vector> ImplicitEuler::Step::direction(const Trial& from, double l
     if (linear.negative_curvature) return std::nullopt;
     if (linear.converged) return result;
   }
-  factored_ = p_.factor.compute(p_.matrix);
+  factored_ = p_.factor.compute(matrix);
   if (!factored_) {
     if (definiteness == Definiteness::kSymmetric) return std::nullopt;
-    p_.diagonal.compute(p_.matrix);  // definite, but not in single precision
+    p_.diagonal.compute(matrix);  // definite, but not in single precision
   }
   const LinearReport linear =
       factored_ ? solved(p_.factor, p_.newton.most_linear_iterations) : solved(p_.diagonal, p_.newton.most_linear_iterations);
@@ -254,13 +311,12 @@ std::optional<Vector> ImplicitEuler::Step::direction(const Trial& from, double l
 }
 
 double ImplicitEuler::Step::factor_iteration() const {
-  return static_cast<double>(p_.factor.size()) * solve_nanoseconds + diagonal_iteration();
-}
-
-double ImplicitEuler::Step::diagonal_iteration() const {
-  return static_cast<double>(p_.matrix.columns().size()) * block_nanoseconds +
+  return static_cast<double>(p_.factor.size()) * solve_nanoseconds +
+         static_cast<double>(p_.assembled->matrix.columns().size()) * block_nanoseconds +
          static_cast<double>(p_.free.size()) * vector_nanoseconds;
 }
+
+double ImplicitEuler::Step::lane_iteration() const { return static_cast<double>(p_.lanes.slot_count()) * lane_block_nanoseconds; }
 
 int ImplicitEuler::Step::iterations_worth_a_factor(double iteration_nanoseconds) const {
   const double factor = p_.factor.work() * multiplication_nanoseconds + static_cast<double>(p_.free.size()) * row_nanoseconds;
@@ -269,12 +325,7 @@ int ImplicitEuler::Step::iterations_worth_a_factor(double iteration_nanoseconds)
 
 // Of conjugate gradients with the diagonal: the stiffness beside the mass is about the condition number, whose root counts.
 double ImplicitEuler::Step::expected_iterations(double linear_tolerance) const {
-  double ratio = 0;
-  for (std::size_t row = 0; row < p_.free.size(); ++row) {
-    const Index k = p_.matrix.diagonal()[row];
-    ratio += p_.matrix.blocks()[k].trace() / p_.constant.blocks()[k].trace();
-  }
-  return iterations_a_root * std::sqrt(ratio / static_cast<double>(p_.free.size())) * std::log(2 / linear_tolerance);
+  return iterations_a_root * std::sqrt(p_.lanes.stiffness_ratio()) * std::log(2 / linear_tolerance);
 }
 
 // Takes as much of a direction as helps; false where nothing does.
@@ -295,7 +346,7 @@ bool ImplicitEuler::Step::advance(Trial& trial, const Vector& direction) const {
 
 Positions ImplicitEuler::Step::solve() {
   Trial trial = start();
-  double linear_tolerance = 0.1;
+  double linear_tolerance = single_tolerances.loosest;
   // The exact tangent leads home fastest from nearby. Far away it is mostly indefinite, and the convex one points downhill.
   bool near = false;
   StepReport& report = p_.report;
@@ -309,12 +360,18 @@ Positions ImplicitEuler::Step::solve() {
       advanced = newton && advance(trial, *newton);
       if (advanced) break;
     }
+    if (!advanced && iterative_) {  // a factor may know better
+      iterative_ = false;
+      continue;
+    }
     if (!advanced) break;
     const double gain = trial.size / before;
+    if (report.iterations >= most_single_iterations) iterative_ = false;
     near = gain < near_gain || report.iterations >= most_far_iterations;
     // As exact as Newton's method will converge, but no better than the step needs.
-    linear_tolerance = std::clamp(0.5 * gain * gain, 1e-6, 0.1);
-    linear_tolerance = std::max(linear_tolerance, std::min(0.3 * p_.newton.tolerance / trial.relative, 0.1));
+    const LinearTolerances& bounds = iterative_ ? single_tolerances : factored_tolerances;
+    linear_tolerance = std::clamp(0.5 * gain * gain, bounds.tightest, bounds.loosest);
+    linear_tolerance = std::max(linear_tolerance, std::min(0.3 * p_.newton.tolerance / trial.relative, bounds.loosest));
   }
   report.residual = trial.relative;
   report.converged = within_tolerance(trial);
@@ -341,16 +398,8 @@ ImplicitEuler::ImplicitEuler(const ElasticBody& body, std::shared_ptr<const Mate
     free.push_back(static_cast<Index>(v));
   }
   if (free.empty()) throw InvalidInput("constrained", "found no free vertex, expected at least one");
-  const BlockMatrix empty(body.corners(), rows);
+  const BlockMatrix constant = constant_part(body, dt, forces, rows);
   LocalRotations rotations(body.corners(), count, free);
-  BlockMatrix constant = empty;
-  body.add_mass(1 + dt * forces.mass_damping, constant);
-  if (forces.pin_stiffness.size() > 0) {
-    for (std::size_t row = 0; row < free.size(); ++row) {
-      constant.add_to_diagonal(static_cast<Eigen::Index>(row),
-                               dt * dt * forces.pin_stiffness[free[row]] * BlockMatrix::Block::Identity());
-    }
-  }
   parts_ = std::make_unique<Parts>(Parts{body,
                                          std::move(material),
                                          dt,
@@ -358,10 +407,11 @@ ImplicitEuler::ImplicitEuler(const ElasticBody& body, std::shared_ptr<const Mate
                                          forces,
                                          std::move(rows),
                                          std::move(free),
-                                         empty,
-                                         std::move(constant),
-                                         empty,
-                                         SparseCholesky(empty),
+                                         LaneSystem(constant, body.corners().size()),
+                                         std::vector<float>(body.stiffness_size()),
+                                         {},
+                                         SparseCholesky(constant),
+                                         {},
                                          {},
                                          Evaluation(count),
                                          std::move(rotations),

@@ -6,7 +6,7 @@
 
 #include <cstdint>
 
-#include "emulator/lanes.hpp"
+#include "lanes.hpp"
 
 namespace followthrough::FOLLOWTHROUGH_ISA {
 namespace {

@@ -4,8 +4,8 @@
 /// through tanh before they are written.
 #pragma once
 
-#include "emulator/lanes.hpp"
 #include "emulator/patch_kernel.hpp"
+#include "lanes.hpp"
 
 #if defined(__GNUC__) && !defined(__clang__)
 #define FOLLOWTHROUGH_UNROLL _Pragma("GCC unroll 16")

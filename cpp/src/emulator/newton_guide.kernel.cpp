@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Rows lie side by side in a register: sixteen of them go through a guide's whole perceptron in the first-level cache.
 #include "emulator/dense_rows.hpp"
-#include "emulator/lane_algebra.hpp"
 #include "emulator/newton_kernel.hpp"
+#include "lane_algebra.hpp"
 
 namespace followthrough::FOLLOWTHROUGH_ISA {
 namespace {

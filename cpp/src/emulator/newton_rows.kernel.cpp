@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Lanes are rows of the matrix, so that a product needs no sum across lanes.
 #include "emulator/block_lanes.hpp"
-#include "emulator/lane_algebra.hpp"
 #include "emulator/newton_kernel.hpp"
+#include "lane_algebra.hpp"
 
 namespace followthrough::FOLLOWTHROUGH_ISA {
 namespace {

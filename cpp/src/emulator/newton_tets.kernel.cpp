@@ -5,8 +5,8 @@
 // is 1 if S is positive definite and 0 if not. The energy is volume times E : S / 2 + resistance ((1 - J) / 12)^3, and below the
 // clamp what the clamped stress does from there.
 #include "emulator/block_lanes.hpp"
-#include "emulator/lane_algebra.hpp"
 #include "emulator/newton_kernel.hpp"
+#include "lane_algebra.hpp"
 
 namespace followthrough::FOLLOWTHROUGH_ISA {
 namespace {

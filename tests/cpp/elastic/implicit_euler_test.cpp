@@ -12,6 +12,7 @@
 #include "elastic/block_matrix.hpp"
 #include "elastic/blocks.hpp"
 #include "elastic/conjugate_gradients.hpp"
+#include "elastic/lane_system.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
 
@@ -81,6 +82,70 @@ TEST_CASE("conjugate gradients solve to the tolerance and say where a matrix is 
       CHECK((product - b).norm() < 2e-10 * b.norm());
     }
   }
+}
+
+TEST_CASE("lanes hold the same system in single precision, elements beyond the clamp included, with every instruction set") {
+  const Scene s = scene(5, 3, 2);
+  std::vector<Index> rows(static_cast<std::size_t>(s.body.vertex_count()), -1);
+  Index count = 0;
+  for (std::size_t v = 0; v < rows.size(); ++v) {
+    if (!s.constrained[static_cast<Eigen::Index>(v)]) rows[v] = count++;
+  }
+  Positions bent = shaken(s.block.vertices, 3);
+  bent.row(bent.rows() - 1) = bent.row(0);  // inverts some elements
+  PaddedPositions padded;
+  for (Eigen::Index v = 0; v < bent.rows(); ++v) padded.push_back({bent(v, 0), bent(v, 1), bent(v, 2), 0});
+  BlockMatrix matrix(s.body.corners(), rows);
+  s.body.add_mass(1.0, matrix);
+  LaneSystem lanes(matrix, s.body.corners().size());
+  const Vector b = Vector::LinSpaced(3 * count, -1, 2);
+  const InstructionSet usual = instruction_set();
+  for (const Definiteness definiteness : {Definiteness::kConvex, Definiteness::kSemidefinite}) {
+    BlockMatrix exact = matrix;
+    s.body.add_stiffness(bent, InvertibleStVK(), definiteness, 1e-3, exact);
+    BlockDiagonal diagonal;
+    REQUIRE(diagonal.compute(exact));
+    Vector expected, first, product(b.size());
+    REQUIRE(solve(exact, diagonal, b, 1e-10, 2000, expected).converged);
+    for (const InstructionSet set : available_instruction_sets()) {
+      use_instruction_set(set);
+      std::vector<float> stiffness(s.body.stiffness_size());
+      s.body.element_stiffness(padded, InvertibleStVK(), definiteness, 1e-3 * lanes.unit(), stiffness);
+      REQUIRE(lanes.assemble(stiffness));
+      Vector x;
+      REQUIRE(lanes.solve(b, 1e-5, 2000, x).converged);
+      exact.multiply(x.data(), product.data());
+      CHECK((product - b).norm() < 1e-4 * b.norm());
+      CHECK((x - expected).norm() < 1e-3 * expected.norm());
+      if (first.size() == 0) first = x;
+      CHECK(x == first);
+    }
+    use_instruction_set(usual);
+  }
+}
+
+TEST_CASE("lanes say where a system is indefinite") {
+  const Scene s = scene(4, 2, 2);
+  std::vector<Index> rows(static_cast<std::size_t>(s.body.vertex_count()));
+  for (std::size_t v = 0; v < rows.size(); ++v) rows[v] = static_cast<Index>(v);
+  PaddedPositions padded;
+  for (Eigen::Index v = 0; v < s.block.vertices.rows(); ++v) {
+    padded.push_back({s.block.vertices(v, 0), s.block.vertices(v, 1), s.block.vertices(v, 2), 0});
+  }
+  BlockMatrix mass(s.body.corners(), rows);
+  s.body.add_mass(1.0, mass);
+  LaneSystem lanes(mass, s.body.corners().size());
+  std::vector<float> stiffness(s.body.stiffness_size());
+  s.body.element_stiffness(padded, InvertibleStVK(), Definiteness::kSemidefinite, -1e-3 * lanes.unit(), stiffness);
+  CHECK_FALSE(lanes.assemble(stiffness));  // the diagonal alone says so
+  double scale = -1e-3;                    // just small enough for the diagonal: too large for the rest
+  do {
+    scale *= 0.9;
+    s.body.element_stiffness(padded, InvertibleStVK(), Definiteness::kSemidefinite, scale * lanes.unit(), stiffness);
+  } while (!lanes.assemble(stiffness));
+  Vector x;
+  CHECK(lanes.solve(Vector::LinSpaced(3 * mass.row_count(), -1, 2), 1e-5, 2000, x).negative_curvature);
+  CHECK(x.allFinite());
 }
 
 TEST_CASE("steps have the same bits for any number of threads, and resume from a state") {

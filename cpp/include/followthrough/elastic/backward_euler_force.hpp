@@ -10,8 +10,6 @@
 
 namespace followthrough {
 
-struct SingleBatchConstants;
-
 /// (n,3), kg m: as many as positions, in single precision.
 using SingleForces = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
 
@@ -52,7 +50,6 @@ class BackwardEulerForce {
   Precision precision_;
   InvertibleStVK material_;
   PaddedPositions positions_, away_, force_;
-  std::vector<SingleBatchConstants> single_batches_;
   std::vector<float> single_masses_;
   std::vector<Padded<float>> single_away_, single_force_;
 };

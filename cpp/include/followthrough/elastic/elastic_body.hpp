@@ -15,6 +15,7 @@ namespace followthrough {
 class BlockMatrix;
 struct BatchConstants;
 struct ElementBatch;
+struct SingleBatchConstants;
 
 /// A vertex's three numbers, so that vector registers can take them at once; the fourth one is 0 and means nothing.
 template <typename Real>
@@ -90,6 +91,14 @@ class ElasticBody {
   /// Adds scale times the stiffness to a matrix with this body's pattern.
   void add_stiffness(ConstPositions positions, const Material& material, Definiteness definiteness, double scale,
                      BlockMatrix& matrix) const;
+  /// Floats of element_stiffness.
+  std::size_t stiffness_size() const;
+  /// @brief Every element's stiffness times scale in single precision, one after the other.
+  /// @param positions (n,) m, finite
+  /// @param stiffness out: stiffness_size() floats
+  /// @throws InvalidInput on a wrong shape
+  void element_stiffness(const PaddedPositions& positions, const Material& material, Definiteness definiteness, double scale,
+                         std::vector<float>& stiffness) const;
   /// Adds scale times the consistent mass matrix.
   void add_mass(double scale, BlockMatrix& matrix) const;
 
@@ -103,13 +112,17 @@ class ElasticBody {
   };
 
   void arrange();
+  template <typename Constants>
+  void fill_batches(std::vector<Constants>& batches) const;
   Eigen::Matrix3d deformation_gradient(std::size_t tet, ConstPositions positions) const;
+  Eigen::Matrix3d deformation_gradient(std::size_t tet, const PaddedPositions& positions) const;
   friend class BackwardEulerForce;
   template <typename Real>
   double add_force(std::size_t tet, const PaddedPositions& positions, const Material& material, double scale,
                    std::vector<Padded<Real>>& forces) const;
-  void add_stiffness(std::size_t tet, ConstPositions positions, const Material& material, Definiteness definiteness, double scale,
-                     BlockMatrix& matrix) const;
+  template <typename Add>
+  void for_stiffness_blocks(std::size_t tet, const Eigen::Matrix3d& gradient, const Material& material, Definiteness definiteness,
+                            double scale, const Add& add) const;
   template <typename Work>
   void for_clusters(double tet_nanoseconds, const Work& work) const;
   template <typename Work>
@@ -124,9 +137,10 @@ class ElasticBody {
   Vector lumped_mass_;
   std::vector<std::array<Index, 4>> corners_;
   std::vector<Element> elements_;
-  std::vector<BatchConstants> batches_;         // the same as elements_, for the closed form
-  std::vector<double> masses_;                  // the same as elements_
-  std::vector<Index> color_starts_, clusters_;  // clusters by colour; no two of a colour share a vertex
+  std::vector<BatchConstants> batches_;               // the same as elements_, for the closed form
+  std::vector<SingleBatchConstants> single_batches_;  // and in single precision
+  std::vector<double> masses_;                        // the same as elements_
+  std::vector<Index> color_starts_, clusters_;        // clusters by colour; no two of a colour share a vertex
 };
 
 }  // namespace followthrough

@@ -4,7 +4,7 @@
 /// lanes to rows in memory and back.
 #pragma once
 
-#include "emulator/lanes.hpp"
+#include "lanes.hpp"
 
 namespace followthrough::FOLLOWTHROUGH_ISA {
 namespace {
