@@ -8,6 +8,7 @@ stiffness s = E h² / (rho L²) grows with it, as edges L get shorter.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,12 +90,14 @@ def make_scene(vertices: int, frames: int) -> Scene:
 def make_scene_of_free(free: int, frames: int) -> Scene:
     """The dancer with about so many free tet vertices (`make_scene`)."""
     vertices = round(1.12 * free)
+    best = math.inf, vertices
     for _ in range(4):
         found = int(np.count_nonzero(~make_scene(vertices, 1).sequence.constrained))
-        if abs(found / free - 1.0) <= _CLOSE_ENOUGH:
+        best = min(best, (abs(found / free - 1.0), vertices))
+        if best[0] <= _CLOSE_ENOUGH:
             break
         vertices = max(round(vertices * free / found), LEAST_VERTICES)
-    return make_scene(vertices, frames)
+    return make_scene(best[1], frames)
 
 
 def _volume_of(vertices: int) -> TetMesh:
