@@ -39,7 +39,8 @@ def speed_values(benchmark: Benchmark) -> dict[str, Any]:
 
 def speed_markdown(benchmark: Benchmark) -> str:
     """A heading, a table and what follows from it for each size."""
-    blocks = [conditions(benchmark.machine)]
+    blocks = list(conditions(benchmark.machine))
+    blocks[-1] += "."
     for size in benchmark.sizes:
         found = speeds(size)
         blocks += [heading(size), _table(size, {speed.threads: speed.peak_gflops for speed in found})]
@@ -63,8 +64,7 @@ def write_speed_plot(benchmark: Benchmark, path: Path) -> None:
             if not result.skipped and not result.name.startswith("sgemm"):
                 curves.setdefault((result.name, result.threads), []).append((size.free_vertices, result.ms_median))
         for speed in speeds(size):
-            # A bound from below would not show how slow they are.
-            if speed.equal_error is not None:
+            if speed.equal_error is not None and not speed.equal_error.bound:
                 label = "finite elements at the shipped network's error"
                 curves.setdefault((label, speed.threads), []).append((size.free_vertices, speed.equal_error.ms))
     names = list(dict.fromkeys(name for name, _ in curves))
@@ -78,7 +78,7 @@ def write_speed_plot(benchmark: Benchmark, path: Path) -> None:
             *zip(*points, strict=True),
             style,
             marker="os"[place // 10 % 2],
-            color=f"C{place % 10}",
+            color="black" if name.startswith("finite") else f"C{place % 10}",
             linewidth=wide,
             markersize=4,
             label=f"{name}, {number} thread{'s' if number > 1 else ''}",

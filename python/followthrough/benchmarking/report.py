@@ -56,7 +56,8 @@ def as_values(benchmark: Benchmark) -> dict[str, Any]:
 
 def as_markdown(benchmark: Benchmark) -> str:
     """A heading and a table for each size."""
-    blocks = [conditions(benchmark.machine)]
+    blocks = list(conditions(benchmark.machine))
+    blocks[-1] += "; `largest` is one vertex in one frame."
     for size in benchmark.sizes:
         blocks.append(heading(size))
         blocks.append(_table(size))
@@ -68,13 +69,13 @@ def as_markdown(benchmark: Benchmark) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
-def conditions(machine: Machine) -> str:
-    """What was measured, and on what."""
+def conditions(machine: Machine) -> tuple[str, str]:
+    """What it ran on, and what was measured: a sentence that may go on."""
     return (
         f"{machine.processor}, {machine.cores} cores{_load(machine)}; {machine.system}, Python {machine.python}, "
-        f"NumPy {machine.numpy}, Followthrough {machine.followthrough}.\n\n"
+        f"NumPy {machine.numpy}, Followthrough {machine.followthrough}.",
         f"A body 5 m tall of {YOUNGS_MODULUS:g} Pa dances, {DT:.4g} s a frame. Errors against `{TRUTH}` in m, root mean square over "
-        "frames, vertices and axes; `largest` is one vertex in one frame."
+        "frames, vertices and axes",
     )
 
 
@@ -94,7 +95,7 @@ def heading(size: SizeResult) -> str:
 
 
 def notes(size: SizeResult) -> list[tuple[str, str]]:
-    """Each once, however many numbers of threads there are."""
+    """By method, each once, however many numbers of threads there are."""
     return list(dict.fromkeys((result.name, note) for result in size.results for note in result.notes))
 
 
