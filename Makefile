@@ -13,7 +13,7 @@ DEMO_OUTPUT ?= demo-output
 TRAINING_DATA ?= training-data
 BENCH_ARGS ?=
 
-.PHONY: weights bench-emulator help setup demo test test-cpp test-python test-slow test-blender test-blender-versions test-training bench bench-bake bench-springs lint format types tidy sanitize extension wheel clean
+.PHONY: weights bench-emulator bench-emulator-speed help setup demo test test-cpp test-python test-slow test-blender test-blender-versions test-training bench bench-bake bench-springs lint format types tidy sanitize extension wheel clean
 
 help: ## List the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 24
@@ -57,8 +57,8 @@ test-blender-versions: $(VENV)/.tools ## The Blender tests in bpy 4.2, 4.5, 5.0 
 
 $(TRAINING_VENV)/.tools: tools/requirements.py pyproject.toml
 	@[ -x $(TRAINING_VENV)/bin/python ] || "$$(bash tools/find_python.sh $(PYTHON))" -m venv $(TRAINING_VENV)
-	@echo "Installing PyTorch into $(TRAINING_VENV): minutes, and about 5 GB with the GPU libraries that PyPI's wheel wants"
-	@$(TRAINING_VENV)/bin/python tools/requirements.py training test > $(TRAINING_VENV)/requirements.txt
+	@echo "Installing PyTorch and ONNX Runtime into $(TRAINING_VENV): minutes, and about 5 GB with the GPU libraries that PyPI's wheel wants"
+	@$(TRAINING_VENV)/bin/python tools/requirements.py training benchmark test > $(TRAINING_VENV)/requirements.txt
 	@$(TRAINING_VENV)/bin/python -m pip install --quiet --disable-pip-version-check -r $(TRAINING_VENV)/requirements.txt
 	@touch $@
 
@@ -80,6 +80,9 @@ weights: setup $(TRAINING_VENV)/.installed ## Make the emulator's weights again 
 bench-emulator: setup ## Errors and times of the emulator and of what could take its place, on dances that it has not seen
 	@$(VENV)/bin/followthrough dataset held-out --motions 2 -o $(TRAINING_DATA)/held-out
 	@OMP_NUM_THREADS=1 $(PY) cpp/bench/emulator_scores.py $(TRAINING_DATA)/held-out --pattern 'test-*'
+
+bench-emulator-speed: $(TRAINING_VENV)/.installed ## Time of the emulator beside PyTorch, ONNX Runtime and the finite elements, by size
+	@$(TRAINING_VENV)/bin/followthrough benchmark emulator $(BENCH_ARGS)
 
 bench: setup ## Benchmarks of the core beside memory copy speed, and of the bake beside stepping the frames
 	@bash tools/apt_require.sh libbenchmark-dev libopenblas0

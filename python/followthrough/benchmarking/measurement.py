@@ -57,7 +57,7 @@ class Result:
     work
         What a frame took on average, by name.
     notes
-        What the method warned of.
+        What the method warned of, and what there is to say about it.
     """
 
     name: str
@@ -267,7 +267,8 @@ def _set_up(
             continue
         solver.reset(reference[0])
         judged = method.name != TRUTH and all(lane.method.name != method.name for lane in lanes)
-        lanes.append(_Lane(method, number, solver, setup, [str(w.message) for w in caught], judged, reference[0]))
+        notes = [*(str(w.message) for w in caught), *method.notes(solver)]
+        lanes.append(_Lane(method, number, solver, setup, notes, judged, reference[0]))
     return lanes, skipped
 
 
@@ -305,7 +306,7 @@ def _run(scene: Scene, lanes: list[_Lane], begun: float, seconds: float, progres
 
 def _require_same(lanes: list[_Lane], frame: int) -> None:
     for before, lane in pairwise(lanes):
-        if before.stopped or lane.stopped:
+        if before.stopped or lane.stopped or not lane.method.same_bits:
             continue
         if before.method is lane.method and not np.array_equal(before.positions, lane.positions, equal_nan=True):
             raise ValueError(

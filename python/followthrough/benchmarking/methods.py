@@ -54,6 +54,10 @@ class Method:
         What the last step has taken, by name, of a solver that `make` has made; averaged over the frames.
     forecast
         How many seconds a frame will take, of a solver that may take minutes for one; it may step the solver.
+    notes
+        What there is to say about a solver that `make` has made.
+    same_bits
+        Whether results must not depend on the number of threads.
     """
 
     name: str
@@ -61,6 +65,8 @@ class Method:
     make: Callable[[Scene], Solver]
     work: Callable[[Any], Mapping[str, float]] = lambda solver: {}
     forecast: Callable[[Any, Scene], float] | None = None
+    notes: Callable[[Any], list[str]] = lambda solver: []
+    same_bits: bool = True
 
 
 class SkinningAlone(Solver):
@@ -107,6 +113,16 @@ def _implicit_euler(quality: Quality, material: MaterialName) -> Callable[[Scene
     return lambda scene: ImplicitEuler(
         scene.body(material), scene.sequence.constrained, scene.sequence.dt, quality=quality
     )
+
+
+def few_iterations(most: int) -> Method:
+    """Backward Euler with at most so many Newton iterations a frame: points of its time over its error between the qualities."""
+
+    def make(scene: Scene) -> Solver:
+        sequence = scene.sequence
+        return ImplicitEuler(scene.body(), sequence.constrained, sequence.dt, quality="fine", most_iterations=most)
+
+    return Method(f"implicit-euler/{most}", f"backward Euler, at most {most} Newton iterations", make, _newton_work)
 
 
 def _over_quasistatic(springs: bool) -> Callable[[Scene], Solver]:

@@ -56,29 +56,35 @@ def as_values(benchmark: Benchmark) -> dict[str, Any]:
 
 def as_markdown(benchmark: Benchmark) -> str:
     """A heading and a table for each size."""
-    machine = benchmark.machine
-    blocks = [
-        f"{machine.processor}, {machine.cores} cores{_load(machine)}; {machine.system}, Python {machine.python}, "
-        f"NumPy {machine.numpy}, Followthrough {machine.followthrough}.",
-        f"A body 5 m tall of {YOUNGS_MODULUS:g} Pa dances, {DT:.4g} s a frame. Errors against `{TRUTH}` in m, root mean square over "
-        "frames, vertices and axes; `largest` is one vertex in one frame.",
-    ]
+    blocks = list(conditions(benchmark.machine))
+    blocks[-1] += "; `largest` is one vertex in one frame."
     for size in benchmark.sizes:
-        blocks.append(_heading(size))
+        blocks.append(heading(size))
         blocks.append(_table(size))
         blocks += [f"{result.name} was left out: {result.skipped}." for result in size.results if result.skipped]
-        blocks += [f"{name}: {note}." for name, note in _notes(size)]
+        blocks += [f"{name}: {note}." for name, note in notes(size)]
         if size.unconverged:
             blocks.append(f"The truth itself has not converged in {size.unconverged} of {size.frames} frames.")
     blocks += [f"Left out: {what}." for what in benchmark.left_out]
     return "\n\n".join(blocks) + "\n"
 
 
+def conditions(machine: Machine) -> tuple[str, str]:
+    """What it ran on, and what was measured: a sentence that may go on."""
+    return (
+        f"{machine.processor}, {machine.cores} cores{_load(machine)}; {machine.system}, Python {machine.python}, "
+        f"NumPy {machine.numpy}, Followthrough {machine.followthrough}.",
+        f"A body 5 m tall of {YOUNGS_MODULUS:g} Pa dances, {DT:.4g} s a frame. Errors against `{TRUTH}` in m, root mean square over "
+        "frames, vertices and axes",
+    )
+
+
 def _load(machine: Machine) -> str:
     return "" if machine.load is None else f" (load {machine.load:g} before)"
 
 
-def _heading(size: SizeResult) -> str:
+def heading(size: SizeResult) -> str:
+    """Of a size: its counts."""
     frames = f"{size.frames} frames"
     if size.frames < size.frames_wanted:
         frames = f"{size.frames} of {size.frames_wanted} frames"
@@ -88,17 +94,17 @@ def _heading(size: SizeResult) -> str:
     )
 
 
-def _notes(size: SizeResult) -> list[tuple[str, str]]:
-    """Each once, however many numbers of threads there are."""
+def notes(size: SizeResult) -> list[tuple[str, str]]:
+    """By method, each once, however many numbers of threads there are."""
     return list(dict.fromkeys((result.name, note) for result in size.results for note in result.notes))
 
 
 def _table(size: SizeResult) -> str:
     true_times = {result.threads: result.ms_median for result in size.results if result.name == TRUTH}
-    lines = [_row(_HEADINGS), _row(["---"] + ["---:"] * (len(_HEADINGS) - 2) + ["---"])]
+    lines = [row(_HEADINGS), row(["---"] + ["---:"] * (len(_HEADINGS) - 2) + ["---"])]
     for result in size.results:
         if not result.skipped:
-            lines.append(_row(_cells(result, true_times.get(result.threads))))
+            lines.append(row(_cells(result, true_times.get(result.threads))))
     return "\n".join(lines)
 
 
@@ -110,8 +116,8 @@ def _cells(result: Result, true_time: float | None) -> list[str]:
         _milliseconds(result.ms_median),
         f"{_milliseconds(result.ms_low)} to {_milliseconds(result.ms_high)}",
         "" if true_time is None else f"{true_time / result.ms_median:,.3g}",
-        *("truth" if truth else _error(value) for value in (result.single_frame, result.rollout_24)),
-        *("truth" if truth else _error(value) for value in (result.rollout_all, result.largest)),
+        *("truth" if truth else error_cell(value) for value in (result.single_frame, result.rollout_24)),
+        *("truth" if truth else error_cell(value) for value in (result.rollout_all, result.largest)),
         ", ".join(f"{amount:.3g} {name}" for name, amount in result.work.items() if name != "unconverged"),
     ]
 
@@ -120,13 +126,15 @@ def _milliseconds(value: float) -> str:
     return f"{value:.3g}" if value < 1000 else f"{value:,.0f}"
 
 
-def _error(value: float | None) -> str:
+def error_cell(value: float | None) -> str:
+    """An error in m."""
     if value is None:
         return ""
     return f"{value:.3g}" if math.isfinite(value) else "explodes"
 
 
-def _row(cells: Any) -> str:
+def row(cells: Any) -> str:
+    """A row of a Markdown table."""
     return f"| {' | '.join(cells)} |"
 
 

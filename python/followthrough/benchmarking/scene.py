@@ -8,6 +8,7 @@ stiffness s = E h² / (rho L²) grows with it, as edges L get shorter.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +87,19 @@ def make_scene(vertices: int, frames: int) -> Scene:
     return Scene(sequence, volume.cell_size)
 
 
+def make_scene_of_free(free: int, frames: int) -> Scene:
+    """The dancer with about so many free tet vertices (`make_scene`)."""
+    vertices = round(1.12 * free)
+    best = math.inf, vertices
+    for _ in range(4):
+        found = int(np.count_nonzero(~make_scene(vertices, 1).sequence.constrained))
+        best = min(best, (abs(found / free - 1.0), vertices))
+        if best[0] <= _CLOSE_ENOUGH:
+            break
+        vertices = max(round(vertices * free / found), LEAST_VERTICES)
+    return make_scene(best[1], frames)
+
+
 def _volume_of(vertices: int) -> TetMesh:
     skin = dancer.surface()
     edge = 0.2 * (1500 / vertices) ** (1 / 3)
@@ -110,4 +124,4 @@ def motion_size(sequence: Sequence) -> float:
     return float(np.sqrt(np.mean(np.sum(np.diff(sequence.reference, axis=0) ** 2, axis=-1))))
 
 
-__all__ = ["Scene", "make_scene", "motion_size"]
+__all__ = ["Scene", "make_scene", "make_scene_of_free", "motion_size"]

@@ -18,6 +18,7 @@ from followthrough.benchmarking.measurement import Frames, SizeResult, measure
 from followthrough.benchmarking.methods import METHODS, emulator, select
 from followthrough.benchmarking.report import Benchmark, as_markdown, as_values
 from followthrough.benchmarking.scene import LEAST_VERTICES, make_scene
+from followthrough.cli import benchmark_emulator
 from followthrough.cli.progress import with_progress
 from followthrough.npz_files import written_whole
 
@@ -84,10 +85,13 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    benchmark_emulator.add_parser(parser.add_subparsers(title="more benchmarks", dest="benchmark", metavar="emulator"))
 
 
 def run(args: argparse.Namespace) -> int:
     """Do it."""
+    if args.benchmark == "emulator":
+        return benchmark_emulator.run(args)
     for path in args.weights:
         if sum(other.stem == path.stem for other in args.weights) > 1:
             raise ValueError(f"--weights: found two files {path.name}, expected another name for each")
