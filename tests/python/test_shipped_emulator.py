@@ -142,7 +142,7 @@ def test_one_material_moves_alike_whatever_the_units(weights: EmulatorWeights) -
 
 
 def mistreat(weights: EmulatorWeights, stiffness: float, frames: int, burst: int, peace: int) -> None:
-    """Bursts of teleports, flips, mirror images and collapse, each followed by peace, in which most come back to rest."""
+    """Bursts of teleports, flips, mirror images and collapse, each followed by peace, in which it comes back to rest."""
     rest, tets = bar(3, 2, 2)
     held = rest[:, 0] < 0.1
     dt = math.sqrt(0.001)
@@ -164,7 +164,7 @@ def mistreat(weights: EmulatorWeights, stiffness: float, frames: int, burst: int
         near = 1e-4 if stiffness > 2 else 1.5  # the softest swing on, as backward Euler does
         came_back += bool(np.abs(x - rest).max() < near)
     print(f"s = {stiffness:g}: back at rest after {came_back} of {bursts} bursts")
-    assert bursts < 10 or came_back >= 0.7 * bursts  # after the others a corner stays inside out
+    assert came_back == bursts
 
 
 STIFFNESSES = [0.5, 1.25, 5.0, 25.0, 150.0]

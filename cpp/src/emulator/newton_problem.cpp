@@ -760,6 +760,35 @@ double NewtonProblem::slope_along_saved() const {
   return sum;
 }
 
+// As it is seen from a frame of reference that falls.
+Eigen::RowVector3d NewtonProblem::reference_of(std::int32_t row) const {
+  return target.row(vertices[size(row)]) * inverse_length - fall;
+}
+
+void NewtonProblem::go_to_reference() {
+  std::fill_n(motion.data(), 3 * size(padded), 0.0f);
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    const Eigen::RowVector3d there = reference_of(row);
+    for (int k = 0; k < 3; ++k) {
+      const std::size_t place = 3 * size(row) + size(k);
+      positions[place] = there[k];
+      offsets.data()[4 * offset_row(row) + k] = static_cast<float>(positions[place] - inertial[place]);
+    }
+  }
+}
+
+double NewtonProblem::inertia_at_reference() const {
+  double sum = 0;
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    const Eigen::RowVector3d there = reference_of(row);
+    for (int k = 0; k < 3; ++k) {
+      const double away = there[k] - inertial[3 * size(row) + size(k)];
+      sum += 0.5 * static_cast<double>(lumped_masses[size(row)]) * away * away;
+    }
+  }
+  return sum;
+}
+
 bool NewtonProblem::finite() const {
   for (const double value : positions) {
     if (!std::isfinite(value)) return false;

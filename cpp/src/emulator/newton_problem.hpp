@@ -61,6 +61,10 @@ struct NewtonProblem {
   void go_back_and_move(double share);
   /// Slope at the estimate, which has been evaluated, of the energy along the direction of `save`.
   double slope_along_saved() const;
+  /// Begins again with the free vertices at x(t+1).
+  void go_to_reference();
+  /// The energy that inertia has there, with lumped masses.
+  double inertia_at_reference() const;
   bool finite() const;
   void start_over();
   /// Positions of all vertices, m.
@@ -110,6 +114,7 @@ struct NewtonProblem {
   FreeEdges free_edges(std::int32_t row) const;
   std::int32_t sum_place(std::int32_t row, std::int32_t other) const;
   std::int32_t offset_row(std::int32_t row) const;
+  Eigen::RowVector3d reference_of(std::int32_t row) const;
   std::int32_t last_group(std::int32_t part) const;
   double sum(int which) const;
   void find_nearness(const NewtonBody& body);

@@ -149,6 +149,8 @@ struct PatchNewton::Parts {
   double lengthen(double left);
   double evaluate();
   void take_passes(int count, const PackedPass* first, std::size_t different, double enough);
+  void take_all_passes(double enough);
+  bool reference_is_better();
   void solve_frame(ConstPositions reference);
 
   NewtonProblem problem;
@@ -261,6 +263,26 @@ void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::si
   }
 }
 
+void PatchNewton::Parts::take_all_passes(double enough) {
+  take_passes(most_passes, passes.data(), passes.size(), enough);
+  take_passes(extra_passes, &extra, 1, nothing_left);
+  if (taken) evaluate();
+}
+
+// Flesh that was torn and twisted may have found another equilibrium. Where the reference has less energy, inertia included, the
+// estimate goes there. Mostly inertia alone has more.
+bool PatchNewton::Parts::reference_is_better() {
+  if (most_passes + extra_passes == 0) return false;
+  const double energy = problem.energy;
+  if (!(problem.inertia_at_reference() < energy)) return false;
+  problem.save();
+  problem.go_to_reference();
+  problem.assemble();
+  if (problem.energy < energy) return true;
+  problem.go_back_and_move(0.0);
+  return false;
+}
+
 void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
   problem.begin({{dynamic[0], dynamic[1], dynamic[2], dynamic[3]}, {next_reference, reference[0], reference[1], reference[2]}});
   taken.reset();
@@ -271,9 +293,9 @@ void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
     for (std::int32_t row = 0; row < problem.free_count; ++row) square += static_cast<double>(step[row]) * step[row];
   }
   const double liveliness = std::min(1.0, std::sqrt(square / (3.0 * std::max(problem.free_count, 1))) / lively_step);
-  take_passes(most_passes, passes.data(), passes.size(), std::max(tolerance * liveliness, nothing_left));
-  take_passes(extra_passes, &extra, 1, nothing_left);
-  if (taken) evaluate();
+  const double enough = std::max(tolerance * liveliness, nothing_left);
+  take_all_passes(enough);
+  if (reference_is_better()) take_all_passes(enough);
   if (!problem.finite()) problem.start_over();
   problem.write_estimate(next);
 }

@@ -59,6 +59,7 @@ TEST_CASE("guided Newton passes are the plain ones, with every architecture and 
       {{7, false, {}}},
   };
   const NewtonBody body = bent_block(4, 2, 2);
+  int from_reference = 0;
   for (std::size_t a = 0; a < all.size(); ++a) {
     CAPTURE(a);
     NewtonSchedule schedule = random_schedule(static_cast<unsigned>(a), all[a]);
@@ -79,8 +80,10 @@ TEST_CASE("guided Newton passes are the plain ones, with every architecture and 
         moved = std::max(moved, difference(expected, reference));
       }
       CHECK(moved > 0.05);
+      from_reference += plain.from_reference;
     }
   }
+  CHECK(from_reference > 0);
 }
 
 TEST_CASE("guided Newton passes are the plain ones where tets reach from one part of the rows into others") {

@@ -126,21 +126,21 @@ class PlainNewton {
         guided(schedule_.start,
                {w, a, s, x1 - 2 * x0 + u[5], u[0] - 3 * u[1] + 3 * u[2] - u[3], x0 - 2 * u[5] + u[6], means(w), means(a), means(s)},
                [&](Index v) -> std::vector<double> { return {nearness(v), log_modulus(v), fullness(v)}; });
-    Positions last = Positions::Zero(z_.rows(), 3);
-    for (int k = 0; k < schedule_.most_passes; ++k) {
-      const NewtonPass& pass = schedule_.passes[std::min(static_cast<std::size_t>(k), schedule_.passes.size() - 1)];
+    take_passes();
+    // The reference, where that has less energy.
+    double inertia = 0;
+    for (const Index v : free_) inertia += 0.5 * lumped_[v] * (x1.row(v) - y_.row(v)).squaredNorm();
+    if (schedule_.most_passes > 0 && inertia < energy_) {
+      const Positions found = z_;
+      const double energy = energy_;
+      for (const Index v : free_) z_.row(v) = x1.row(v);
       assemble();
-      solve(pass.iterations);
-      if (pass.guide.empty()) {
-        last = g_;
+      if (energy_ < energy) {
+        ++from_reference;
+        take_passes();
       } else {
-        last = guided(pass.guide, {g_, p_, l_, last, means(g_), means(l_)}, [&](Index v) -> std::vector<double> {
-          return {0.5 * std::log(diagonal(v).trace() / 3 / lumped_[v]), log_modulus(v), nearness(v), fullness(v)};
-        });
+        z_ = found;
       }
-      const double share = keep(last, !pass.guide.empty());
-      if (share == 0) break;
-      if (share > 0) last = share * g_;
     }
     Positions next = z_ * length_;
     for (Eigen::Index v = 0; v < next.rows(); ++v) {
@@ -150,7 +150,8 @@ class PlainNewton {
     return u_[0];
   }
 
-  int not_kept = 0;  ///< steps that did not bring the energy down
+  int not_kept = 0;        ///< steps that made the energy worse
+  int from_reference = 0;  ///< frames that went there
 
  private:
   struct Tet {
@@ -190,7 +191,10 @@ class PlainNewton {
   void assemble() {
     const Eigen::Index n = z_.rows();
     gradient_ = masses_ * (z_ - y_);
-    energy_ = 0.5 * gradient_.cwiseProduct(z_ - y_).sum();
+    // Without what free vertices have no part in.
+    Positions held = z_ - y_;
+    for (const Index v : free_) held.row(v).setZero();
+    energy_ = 0.5 * (gradient_.cwiseProduct(z_ - y_).sum() - held.cwiseProduct(masses_ * held).sum());
     tangent_ = Eigen::MatrixXd::Zero(3 * n, 3 * n);
     for (Eigen::Index a = 0; a < n; ++a) {
       for (Eigen::Index b = 0; b < n; ++b) tangent_.block<3, 3>(3 * a, 3 * b) += masses_(a, b) * Eigen::Matrix3d::Identity();
@@ -204,8 +208,9 @@ class PlainNewton {
       const double gap = std::max(1 - f.determinant(), 0.0);
       const double pressure = -tet.resistance * gap * gap / 576, bulk = tet.resistance * gap / 288;
       const Eigen::Matrix3d below = p.u * (p.stretches - p.stretches.cwiseMax(0.1)).asDiagonal() * p.v.transpose();
-      energy_ += tet.volume * (0.5 * strain.cwiseProduct(s).sum() + tet.resistance * std::pow(gap / 12, 3) +
-                               (f * s + pressure * a).cwiseProduct(below).sum());
+      const bool moves = std::any_of(tet.corners, tet.corners + 4, [&](Index v) { return !body_.constrained[v]; });
+      energy_ += (moves ? tet.volume : 0.0) * (0.5 * strain.cwiseProduct(s).sum() + tet.resistance * std::pow(gap / 12, 3) +
+                                               (f * s + pressure * a).cwiseProduct(below).sum());
       const bool stretched = s(0, 0) > 0 && s.topLeftCorner<2, 2>().determinant() > 0 && s.determinant() > 0;
       for (int i = 0; i < 4; ++i) {
         const Eigen::Vector3d gi = tet.gradients.col(i);
@@ -223,6 +228,25 @@ class PlainNewton {
     left_ = 0;
     for (const Index v : free_) left_ += (diagonal(v).inverse() * gradient_.row(v).transpose()).squaredNorm();
     left_ = std::sqrt(left_ / (3.0 * static_cast<double>(free_.size())));
+  }
+
+  void take_passes() {
+    Positions last = Positions::Zero(z_.rows(), 3);
+    for (int k = 0; k < schedule_.most_passes; ++k) {
+      const NewtonPass& pass = schedule_.passes[std::min(static_cast<std::size_t>(k), schedule_.passes.size() - 1)];
+      assemble();
+      solve(pass.iterations);
+      if (pass.guide.empty()) {
+        last = g_;
+      } else {
+        last = guided(pass.guide, {g_, p_, l_, last, means(g_), means(l_)}, [&](Index v) -> std::vector<double> {
+          return {0.5 * std::log(diagonal(v).trace() / 3 / lumped_[v]), log_modulus(v), nearness(v), fullness(v)};
+        });
+      }
+      const double share = keep(last, !pass.guide.empty());
+      if (share == 0) break;
+      if (share > 0) last = share * g_;
+    }
   }
 
   // Moves by a step if that brings the energy down, else by a share of the direction. Returns that share; -1: the step was kept.
