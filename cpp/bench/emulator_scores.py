@@ -2,8 +2,9 @@
 """Errors and times of the emulator, and of what a sceptic would put in its place, on sequences with their true motion.
 
 Prints a Markdown table: root mean squares over all sequences, in edges of a cube divided by 5 (the paper's units, in which a
-character is 5 long and an edge 0.2), single frames from true history, rollouts of 24, 48 and all frames; the largest elastic energy over
-that of the truth; milliseconds a frame and microseconds a free vertex, the medians over the sequences.
+character is 5 long and an edge 0.2), single frames from true history, rollouts of 24, 48 and all frames; the least elastic energy, its
+standard deviation and the largest, each over that of the truth; milliseconds a frame and microseconds a free vertex, the medians over the
+sequences.
 """
 
 from __future__ import annotations
@@ -154,7 +155,7 @@ def main() -> None:
             for name, make in compared.items():
                 scores[name].append((evaluate(sequence, make(sequence)), scale))
     print(
-        "| method | single | rollout 24 | rollout 48 | rollout all | energy max / truth | ms a frame | µs a free vertex |"
+        "| method | single | rollout 24 | rollout 48 | rollout all | energy / truth: min, stdev, max | ms a frame | µs a free vertex |"
     )
     print("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
     for name, all_scores in scores.items():
@@ -162,12 +163,13 @@ def main() -> None:
             float(np.sqrt(np.mean([(scale * getattr(score, field)) ** 2 for score, scale in all_scores])))
             for field in ("single_frame", "rollout_24", "rollout_48", "rollout_all")
         ]
-        energy = statistics.median(score.predicted.max / score.truth.max for score, _ in all_scores)
+        energy = ", ".join(
+            f"{statistics.median(getattr(s.predicted, kind) / getattr(s.truth, kind) for s, _ in all_scores):.3g}"
+            for kind in ("min", "stdev", "max")
+        )
         time = statistics.median(score.ms_per_frame for score, _ in all_scores)
         each = statistics.median(1000 * score.ms_per_frame / score.free_vertices for score, _ in all_scores)
-        print(
-            f"| {name} | {' | '.join(f'{value:.2g}' for value in columns)} | {energy:.3g} | {time:.3g} | {each:.3g} |"
-        )
+        print(f"| {name} | {' | '.join(f'{value:.2g}' for value in columns)} | {energy} | {time:.3g} | {each:.3g} |")
 
 
 if __name__ == "__main__":
