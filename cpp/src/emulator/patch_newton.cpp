@@ -29,9 +29,9 @@ constexpr double lively_step = 0.1;
 // Share of the predicted decrease of the energy that a step along the direction must bring (Armijo), and the energy's round-off: of
 // what is hardly strained, whose residual tells more, and of all else.
 constexpr double sufficient_decrease = 1e-4, rounding_near = 1e-4, rounding_far = 1e-6;
-// How much a guide's step may raise the energy, over its slope along the direction. Guides reach farther than truncated conjugate
-// gradients do, and leave ripples that the next pass smooths.
-constexpr double tolerated_rise = 1.0;
+// How much a guide's step may raise the energy, over its slope along the direction and over the energy. Guides reach farther than
+// truncated conjugate gradients do, and leave ripples that the next pass smooths, where there is one.
+constexpr double tolerated_rise = 1.0, greatest_rise = 0.25;
 // How often a pass's step is taken again, shorter.
 constexpr int most_retries = 6;
 // Bounds of how much shorter.
@@ -105,10 +105,12 @@ struct PackedPass {
 struct TakenStep {
   double energy, left, slope;  // where it began; along the whole direction
   double share;                // of the direction; 0: a guide's
+  bool last;                   // of its kind in the frame
 
   bool good(double energy_there, double left_there) const {
     const double rounding = left_there < left ? rounding_near : rounding_far;
-    const double change = share > 0.0 ? sufficient_decrease * share * slope : -tolerated_rise * slope;
+    double change = sufficient_decrease * share * slope;
+    if (share == 0.0 && !last) change = std::min(-tolerated_rise * slope, greatest_rise * energy);
     return energy_there <= energy + change + rounding * std::abs(energy);
   }
   // Where the parabola through what is known of a share is least.
@@ -253,7 +255,7 @@ void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::si
     const PackedPass& pass = first[std::min(static_cast<std::size_t>(k), different - 1)];
     problem.solve(pass.iterations);
     problem.save();
-    taken = TakenStep{problem.energy, left, problem.slope, 1.0};
+    taken = TakenStep{problem.energy, left, problem.slope, 1.0, k + 1 == count};
     if (pass.guide.layers.empty()) {
       problem.move_along_direction();
     } else {

@@ -122,6 +122,3 @@ def _miss(volume: TetMesh, vertices: int) -> float:
 def motion_size(sequence: Sequence) -> float:
     """How far the reference moves in a frame, root mean square, m: to tell how violent a motion is."""
     return float(np.sqrt(np.mean(np.sum(np.diff(sequence.reference, axis=0) ** 2, axis=-1))))
-
-
-__all__ = ["Scene", "make_scene", "make_scene_of_free", "motion_size"]

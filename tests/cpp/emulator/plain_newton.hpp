@@ -243,14 +243,14 @@ class PlainNewton {
           return {0.5 * std::log(diagonal(v).trace() / 3 / lumped_[v]), log_modulus(v), nearness(v), fullness(v)};
         });
       }
-      const double share = keep(last, !pass.guide.empty());
+      const double share = keep(last, !pass.guide.empty(), k + 1 == schedule_.most_passes);
       if (share == 0) break;
       if (share > 0) last = share * g_;
     }
   }
 
   // Moves by a step if that brings the energy down, else by a share of the direction. Returns that share; -1: the step was kept.
-  double keep(const Positions& step, bool of_guide) {
+  double keep(const Positions& step, bool of_guide, bool last) {
     const Positions start = z_, direction = g_;
     const double energy = energy_, left = left_, slope = slope_;
     const auto move = [&](const Positions& by) {
@@ -258,7 +258,9 @@ class PlainNewton {
       assemble();
     };
     const auto good = [&](double share) {
-      return energy_ <= energy + (share > 0 ? 1e-4 * share : -1.0) * slope + (left_ < left ? 1e-4 : 1e-6) * std::abs(energy);
+      double change = 1e-4 * share * slope;
+      if (share == 0 && !last) change = std::min(-slope, 0.25 * energy);
+      return energy_ <= energy + change + (left_ < left ? 1e-4 : 1e-6) * std::abs(energy);
     };
     move(step);
     double share = of_guide ? 0 : 1;

@@ -4,8 +4,8 @@
 /// its first estimate of the last frames; then come a few passes, each a direction by a few iterations of conjugate gradients and a
 /// guide that makes the step of it. Passes end as soon as little is left to do. A pass without a guide steps along the direction.
 /// A step along the direction must bring the energy 1/2 (z - y) M (z - y) + W(z) down (Armijo's rule), a guide's must not raise it
-/// by more than its slope along the direction. Else the direction is taken, or as much of it as does, or more where the energy
-/// still falls.
+/// by more than its slope along the direction or a quarter, the last one's not at all. Else the direction is taken, or as much of
+/// it as does, or more where the energy still falls.
 ///
 /// A guide is a perceptron at every free vertex. It makes the coefficients of a weighted sum of the vectors of newton_patches.hpp,
 /// from their products (the signed root of |v_a . v_b| over the sum of the vectors' squares, plus 1e-9 where that is not zero) and
