@@ -73,6 +73,19 @@ inline void store(float* to, long stride, const Square& m) {
   store(to + 6 * stride, stride, m.z);
 }
 
+/// Six numbers of a group, 16 lanes each.
+struct Symmetric {
+  Real xx, yy, zz, xy, xz, yz;
+};
+inline Symmetric load_symmetric(const float* from) {
+  return {load_real(from),
+          load_real(from + kGroup),
+          load_real(from + 2 * kGroup),
+          load_real(from + 3 * kGroup),
+          load_real(from + 4 * kGroup),
+          load_real(from + 5 * kGroup)};
+}
+
 /// to[r * to_stride + c] = from[c * from_stride + r] for 16 rows and columns.
 inline void transpose_group(const float* from, long from_stride, float* to, long to_stride) {
   for (int r = 0; r < kGroup; r += kLanes) {

@@ -11,17 +11,6 @@ static_assert(kGroup == row_lanes && kGroup == single_lanes);
 
 inline Real sum_of_products(Triple a, Triple b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 
-struct Symmetric {
-  Real xx, yy, zz, xy, xz, yz;
-};
-inline Symmetric load_symmetric(const float* from) {
-  return {load_real(from),
-          load_real(from + kGroup),
-          load_real(from + 2 * kGroup),
-          load_real(from + 3 * kGroup),
-          load_real(from + 4 * kGroup),
-          load_real(from + 5 * kGroup)};
-}
 inline Triple product(const Symmetric& m, Triple v) {
   return {sum_of_products({m.xx, m.xy, m.xz}, v), sum_of_products({m.xy, m.yy, m.yz}, v), sum_of_products({m.xz, m.yz, m.zz}, v)};
 }

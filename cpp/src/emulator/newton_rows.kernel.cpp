@@ -7,17 +7,6 @@
 namespace followthrough::FOLLOWTHROUGH_ISA {
 namespace {
 
-struct Symmetric {
-  Real xx, yy, zz, xy, xz, yz;
-};
-inline Symmetric load_symmetric(const float* from) {
-  return {load_real(from),
-          load_real(from + kGroup),
-          load_real(from + 2 * kGroup),
-          load_real(from + 3 * kGroup),
-          load_real(from + 4 * kGroup),
-          load_real(from + 5 * kGroup)};
-}
 inline void store(float* to, const Symmetric& m) {
   const Real values[] = {m.xx, m.yy, m.zz, m.xy, m.xz, m.yz};
   for (int k = 0; k < 6; ++k) store(to + k * kGroup, values[k]);
