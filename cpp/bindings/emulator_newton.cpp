@@ -75,7 +75,8 @@ void bind_patches(py::module_& m) {
       .def("evaluate", &NewtonPatches::evaluate, py::arg("iterations"), py::call_guard<py::gil_scoped_release>())
       .def("features", [](NewtonPatches& patches) { return arrays_of(patches.features()); })
       .def("direction", &NewtonPatches::direction)
-      .def("move", &NewtonPatches::move, py::arg("step"))
+      .def("move", &NewtonPatches::move, py::arg("step"), py::arg("last"))
+      .def("end_passes", &NewtonPatches::end_passes)
       .def("estimate", &NewtonPatches::estimate);
 }
 

@@ -153,7 +153,8 @@ class NewtonPatches:
         return _features(self._core.start_features())
 
     def evaluate(self, iterations: int) -> float:
-        """Gradient, tangent and direction at the estimate.
+        """Gradient, tangent and direction at the estimate. A step that made the energy worse is taken back first, and Newton's
+        direction, or a part of it, is taken instead.
 
         Parameters
         ----------
@@ -163,7 +164,8 @@ class NewtonPatches:
         Returns
         -------
         float
-            Root mean square of the first preconditioned residual, edges: how far the estimate is off, roughly.
+            Root mean square of the first preconditioned residual, edges: how far the estimate is off, roughly. 0 where no part
+            of the direction brought the energy down either.
         """
         return float(self._core.evaluate(iterations))
 
@@ -176,8 +178,15 @@ class NewtonPatches:
         direction: Float32Array = self._core.direction()
         return direction
 
-    def move(self, step: ArrayLike) -> None:
+    def move(self, step: ArrayLike, *, last: bool = False) -> None:
         """Move the free vertices of the estimate by steps (f, 3), edges.
+
+        Parameters
+        ----------
+        step
+            Of the free vertices (f, 3), edges.
+        last
+            Whether the frame's last pass makes it. Such a step must not raise the energy; those before may, by a little.
 
         Raises
         ------
@@ -187,7 +196,17 @@ class NewtonPatches:
         array = np.ascontiguousarray(step, dtype=np.float32)
         if array.shape != (len(self.free_vertices), 3):
             raise ValueError(f"step: found shape {array.shape}, expected ({len(self.free_vertices)}, 3)")
-        self._core.move(array)
+        self._core.move(array, last)
+
+    def end_passes(self) -> bool:
+        """Take the last pass's step back where it made the energy worse, and go to the reference where that has less.
+
+        Returns
+        -------
+        bool
+            Whether the estimate went to the reference. Passes begin again from there.
+        """
+        return bool(self._core.end_passes())
 
     def estimate(self) -> FloatArray:
         """The estimate of all vertices (n, 3), m."""

@@ -67,6 +67,9 @@ def one_further(
     past = [max(t - k, 0) for k in range(4)]
     taken = network([scene], [Frame(frames[past], x[[t + 1, *past[:3]]])], repeats)
     assert len(taken) == 1 + len(network.passes) + repeats
+    if scene.end_passes():
+        network.take_passes([scene], repeats)
+        scene.end_passes()
     return scene.estimate()
 
 

@@ -8,13 +8,12 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
-#include <optional>
 #include <string>
 #include <utility>
 
-#include "elastic/descent.hpp"
 #include "emulator/newton_problem.hpp"
 #include "emulator/packed_layers.hpp"
+#include "emulator/step_guard.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
 
@@ -26,19 +25,6 @@ constexpr double nothing_left = 1e-7;
 // Root mean square of the first step, in edges, from which on the tolerance is as it is given: calmer frames are solved as exactly
 // in proportion, so that what comes to rest does.
 constexpr double lively_step = 0.1;
-// Share of the predicted decrease of the energy that a step along the direction must bring (Armijo), and the energy's round-off: of
-// what is hardly strained, whose residual tells more, and of all else.
-constexpr double sufficient_decrease = 1e-4, rounding_near = 1e-4, rounding_far = 1e-6;
-// How much a guide's step may raise the energy, over its slope along the direction and over the energy. Guides reach farther than
-// truncated conjugate gradients do, and leave ripples that the next pass smooths, where there is one.
-constexpr double tolerated_rise = 1.0, greatest_rise = 0.25;
-// How often a pass's step is taken again, shorter.
-constexpr int most_retries = 6;
-// Bounds of how much shorter.
-constexpr double least_shortening = 0.1, greatest_shortening = 0.5;
-// Share of the slope that makes it worth while to go farther, and how much farther.
-constexpr double still_falling = 0.1, least_lengthening = 1.2, greatest_lengthening = 3.0;
-
 decltype(&baseline::guide_rows) guide_kernel() {
   switch (instruction_set()) {
 #ifdef FOLLOWTHROUGH_HAS_avx512
@@ -101,26 +87,6 @@ struct PackedPass {
   PackedGuide guide;
 };
 
-// A pass's step, until it is known what it did to the energy.
-struct TakenStep {
-  double energy, left, slope;  // where it began; along the whole direction
-  double share;                // of the direction; 0: a guide's
-  bool last;                   // of its kind in the frame
-
-  bool good(double energy_there, double left_there) const {
-    const double rounding = left_there < left ? rounding_near : rounding_far;
-    double change = sufficient_decrease * share * slope;
-    if (share == 0.0 && !last) change = std::min(-tolerated_rise * slope, greatest_rise * energy);
-    return energy_there <= energy + change + rounding * std::abs(energy);
-  }
-  // Where the parabola through what is known of a share is least.
-  double shorter_share(double energy_there) const {
-    const double least = -0.5 * slope * share * share / (energy_there - energy - slope * share);
-    if (!std::isfinite(least)) return least_shortening * share;
-    return std::clamp(least, least_shortening * share, greatest_shortening * share);
-  }
-};
-
 }  // namespace
 
 void require_schedule(const NewtonSchedule& schedule) {
@@ -147,15 +113,12 @@ void require_schedule(const NewtonSchedule& schedule) {
 struct PatchNewton::Parts {
   Parts(const NewtonBody& body, const NewtonSchedule& schedule);
   void take_guided_step(const PackedGuide& guide, bool of_pass);
-  double retake(double share);
-  double lengthen(double left);
-  double evaluate();
   void take_passes(int count, const PackedPass* first, std::size_t different, double enough);
   void take_all_passes(double enough);
-  bool reference_is_better();
   void solve_frame(ConstPositions reference);
 
   NewtonProblem problem;
+  StepGuard guard;
   PackedGuide start;
   std::vector<PackedPass> passes;
   PackedPass extra;
@@ -166,12 +129,12 @@ struct PatchNewton::Parts {
   std::array<Positions, 4> dynamic;    // u(t), u(t-1), u(t-2), u(t-3)
   std::array<Positions, 3> reference;  // x(t), x(t-1), x(t-2)
   Positions next;                      // u(t+1)
-  std::optional<TakenStep> taken;      // not evaluated yet
   std::int64_t frames = -1;            // since the reset; -1: never reset
 };
 
 PatchNewton::Parts::Parts(const NewtonBody& body, const NewtonSchedule& schedule)
     : problem((require_schedule(schedule), body)),
+      guard(problem),
       start(schedule.start),
       extra{schedule.extra_iterations, {}},
       most_passes(schedule.passes.empty() ? 0 : schedule.most_passes),
@@ -209,58 +172,19 @@ void PatchNewton::Parts::take_guided_step(const PackedGuide& guide, bool of_pass
   problem.have_moved(inputs.steps, of_pass);
 }
 
-// The step that has been taken, as a share of its direction instead.
-double PatchNewton::Parts::retake(double share) {
-  taken->share = share;
-  problem.go_back_and_move(share);
-  return problem.assemble();
-}
-
-// The whole direction has been taken: takes more of it where the energy is still falling there.
-double PatchNewton::Parts::lengthen(double left) {
-  const double energy = problem.energy, slope = problem.slope_along_saved();
-  if (!(slope < still_falling * taken->slope)) return left;
-  const double farther = cubic_minimum(taken->energy, taken->slope, energy, slope);
-  if (!(farther > 1.0)) return left;
-  left = retake(std::clamp(farther, least_lengthening, greatest_lengthening));
-  return problem.energy < energy ? left : retake(1.0);
-}
-
-// Evaluates the estimate. Guides are mostly right, and nothing says that they always are: where a step makes the energy worse the
-// direction is taken, or the part of it that brings the energy down, or, where compression makes the energy a cubic, more than all
-// of it.
-double PatchNewton::Parts::evaluate() {
-  double left = problem.assemble();
-  if (!taken) return left;
-  int retries = 0;
-  for (; !taken->good(problem.energy, left); ++retries) {
-    if (retries == most_retries) {
-      problem.go_back_and_move(0.0);
-      taken.reset();
-      problem.assemble();
-      return 0.0;
-    }
-    left = retake(taken->share > 0.0 ? taken->shorter_share(problem.energy) : 1.0);
-  }
-  if (retries > 0 && taken->share == 1.0) left = lengthen(left);
-  taken.reset();
-  return left;
-}
-
 // The last of the different passes is repeated.
 void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::size_t different, double enough) {
   for (int k = 0; k < count; ++k) {
-    const double left = evaluate();
+    const double left = guard.evaluate();
     if (!(left >= enough)) return;
     const PackedPass& pass = first[std::min(static_cast<std::size_t>(k), different - 1)];
     problem.solve(pass.iterations);
-    problem.save();
-    taken = TakenStep{problem.energy, left, problem.slope, 1.0, k + 1 == count};
-    if (pass.guide.layers.empty()) {
-      problem.move_along_direction();
-    } else {
-      taken->share = 0.0;
+    const bool guided = !pass.guide.layers.empty();
+    guard.before_step(guided, k + 1 == count);
+    if (guided) {
       take_guided_step(pass.guide, true);
+    } else {
+      problem.move_along_direction();
     }
   }
 }
@@ -268,26 +192,12 @@ void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::si
 void PatchNewton::Parts::take_all_passes(double enough) {
   take_passes(most_passes, passes.data(), passes.size(), enough);
   take_passes(extra_passes, &extra, 1, nothing_left);
-  if (taken) evaluate();
-}
-
-// Flesh that was torn and twisted may have found another equilibrium. Where the reference has less energy, inertia included, the
-// estimate goes there. Mostly inertia alone has more.
-bool PatchNewton::Parts::reference_is_better() {
-  if (most_passes + extra_passes == 0) return false;
-  const double energy = problem.energy;
-  if (!(problem.inertia_at_reference() < energy)) return false;
-  problem.save();
-  problem.go_to_reference();
-  problem.assemble();
-  if (problem.energy < energy) return true;
-  problem.go_back_and_move(0.0);
-  return false;
+  guard.end();
 }
 
 void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
   problem.begin({{dynamic[0], dynamic[1], dynamic[2], dynamic[3]}, {next_reference, reference[0], reference[1], reference[2]}});
-  taken.reset();
+  guard.begin();
   take_guided_step(start, false);
   double square = 0;
   for (int k = 0; k < 3; ++k) {
@@ -297,7 +207,7 @@ void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
   const double liveliness = std::min(1.0, std::sqrt(square / (3.0 * std::max(problem.free_count, 1))) / lively_step);
   const double enough = std::max(tolerance * liveliness, nothing_left);
   take_all_passes(enough);
-  if (reference_is_better()) take_all_passes(enough);
+  if (most_passes + extra_passes > 0 && guard.go_to_better_reference()) take_all_passes(enough);
   if (!problem.finite()) problem.start_over();
   problem.write_estimate(next);
 }

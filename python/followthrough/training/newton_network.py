@@ -110,15 +110,27 @@ class GuidedNewtonNetwork(nn.Module):
         for scene, frame in zip(scenes, frames, strict=True):
             scene.begin(frame.dynamic, frame.reference)
         taken = [self._step(self.start, scenes, [scene.start_features() for scene in scenes])]
+        return taken + self.take_passes(scenes, repeats)
+
+    def take_passes(self, scenes: Sequence[NewtonPatches], repeats: int = 0) -> list[tuple[list[FloatArray], Tensor]]:
+        """Every pass from the scenes' present estimates, as in `forward`. `NewtonPatches.end_passes` ends the frame."""
         guides = list(zip(self.schedule.iterations, self.passes, strict=True))
-        for iterations, guide in guides + guides[-1:] * repeats:
+        guides += guides[-1:] * repeats
+        taken = []
+        for k, (iterations, guide) in enumerate(guides):
             for scene in scenes:
                 scene.evaluate(iterations)
-            taken.append(self._step(guide, scenes, [scene.features() for scene in scenes]))
+            features = [scene.features() for scene in scenes]
+            taken.append(self._step(guide, scenes, features, last=k + 1 == len(guides)))
         return taken
 
     def _step(
-        self, guide: nn.Module, scenes: Sequence[NewtonPatches], features: Sequence[PatchFeatures]
+        self,
+        guide: nn.Module,
+        scenes: Sequence[NewtonPatches],
+        features: Sequence[PatchFeatures],
+        *,
+        last: bool = False,
     ) -> tuple[list[FloatArray], Tensor]:
         before = [scene.estimate() for scene in scenes]
         device = self.start[0].weight.device
@@ -126,7 +138,7 @@ class GuidedNewtonNetwork(nn.Module):
         steps: Tensor = guide(vectors, scalars)
         ends = np.cumsum([len(part.vectors) for part in features])[:-1]
         for scene, step in zip(scenes, np.split(steps.detach().cpu().numpy(), ends), strict=True):
-            scene.move(step)
+            scene.move(step, last=last)
         return before, steps
 
     @classmethod

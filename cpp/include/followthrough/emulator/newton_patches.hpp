@@ -36,8 +36,6 @@
 
 namespace followthrough {
 
-struct NewtonProblem;
-
 /// The volume, and its material.
 struct NewtonBody : EmulatedBody {
   double poisson_ratio = 0.45;          ///< more than -1, less than 0.5
@@ -91,9 +89,11 @@ class NewtonPatches {
   /// What the guide of the start is told.
   /// @throws InvalidInput before begin
   PatchFeatures start_features();
-  /// @brief Gradient, tangent and direction at the estimate.
+  /// @brief Gradient, tangent and direction at the estimate. A step that made the energy worse is taken back first
+  /// (patch_newton.hpp).
   /// @param iterations of the conjugate gradients, at most; they stop at 0.003 of the first residual
-  /// @return the root mean square, over free components, of the first preconditioned residual, in edges
+  /// @return the root mean square, over free components, of the first preconditioned residual, in edges; 0 where no part of the
+  ///   direction brought the energy down either
   double evaluate(int iterations);
   /// What a pass's guide is told.
   /// @throws InvalidInput before evaluate
@@ -102,12 +102,19 @@ class NewtonPatches {
   Steps direction() const;
   /// @brief Moves the free vertices of the estimate. After evaluate, the step is the next pass's m.
   /// @param step (f,3) edges
-  void move(const Steps& step);
+  /// @param last the frame's last pass makes it
+  void move(const Steps& step, bool last = false);
+  /// @brief After the last pass's step, which is taken back where it made the energy worse: goes to the reference where that has
+  /// less.
+  /// @return whether it went, and passes begin again from there
+  /// @throws InvalidInput before evaluate
+  bool end_passes();
   /// (n,3) the estimate, m.
   Positions estimate() const;
 
  private:
-  std::unique_ptr<NewtonProblem> problem_;
+  struct Parts;
+  std::unique_ptr<Parts> parts_;
 };
 
 }  // namespace followthrough

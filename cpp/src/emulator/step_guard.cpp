@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+#include "emulator/step_guard.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "elastic/descent.hpp"
+
+namespace followthrough {
+namespace {
+
+// Share of the predicted decrease of the energy that a step along the direction must bring (Armijo), and the energy's round-off: of
+// what is hardly strained, whose residual tells more, and of all else.
+constexpr double sufficient_decrease = 1e-4, rounding_near = 1e-4, rounding_far = 1e-6;
+// How much a guide's step may raise the energy, over its slope along the direction and over the energy. Guides reach farther than
+// truncated conjugate gradients do, and leave ripples that the next pass smooths, where there is one.
+constexpr double tolerated_rise = 1.0, greatest_rise = 0.25;
+// How often a pass's step is taken again, shorter.
+constexpr int most_retries = 6;
+// Bounds of how much shorter.
+constexpr double least_shortening = 0.1, greatest_shortening = 0.5;
+// Share of the slope that makes it worth while to go farther, and how much farther.
+constexpr double still_falling = 0.1, least_lengthening = 1.2, greatest_lengthening = 3.0;
+
+}  // namespace
+
+bool StepGuard::TakenStep::good(double energy_there, double left_there) const {
+  const double rounding = left_there < left ? rounding_near : rounding_far;
+  double change = sufficient_decrease * share * slope;
+  if (share == 0.0 && !last) change = std::min(-tolerated_rise * slope, greatest_rise * energy);
+  return energy_there <= energy + change + rounding * std::abs(energy);
+}
+
+double StepGuard::TakenStep::shorter_share(double energy_there) const {
+  const double least = -0.5 * slope * share * share / (energy_there - energy - slope * share);
+  if (!std::isfinite(least)) return least_shortening * share;
+  return std::clamp(least, least_shortening * share, greatest_shortening * share);
+}
+
+void StepGuard::before_step(bool guided, bool last) {
+  problem_.save();
+  taken_ = TakenStep{problem_.energy, left_, problem_.slope, guided ? 0.0 : 1.0, last};
+}
+
+// The step that has been taken, as a share of its direction instead.
+double StepGuard::retake(double share) {
+  taken_->share = share;
+  problem_.go_back_and_move(share);
+  return problem_.assemble();
+}
+
+// The whole direction has been taken: takes more of it where the energy is still falling there.
+double StepGuard::lengthen(double left) {
+  const double energy = problem_.energy, slope = problem_.slope_along_saved();
+  if (!(slope < still_falling * taken_->slope)) return left;
+  const double farther = cubic_minimum(taken_->energy, taken_->slope, energy, slope);
+  if (!(farther > 1.0)) return left;
+  left = retake(std::clamp(farther, least_lengthening, greatest_lengthening));
+  return problem_.energy < energy ? left : retake(1.0);
+}
+
+double StepGuard::evaluate() {
+  left_ = problem_.assemble();
+  if (!taken_) return left_;
+  int retries = 0;
+  for (; !taken_->good(problem_.energy, left_); ++retries) {
+    if (retries == most_retries) {
+      problem_.go_back_and_move(0.0);
+      taken_.reset();
+      problem_.assemble();
+      return left_ = 0.0;
+    }
+    left_ = retake(taken_->share > 0.0 ? taken_->shorter_share(problem_.energy) : 1.0);
+  }
+  if (retries > 0 && taken_->share == 1.0) left_ = lengthen(left_);
+  taken_.reset();
+  return left_;
+}
+
+bool StepGuard::go_to_better_reference() {
+  const double energy = problem_.energy;
+  if (!(problem_.inertia_at_reference() < energy)) return false;
+  problem_.save();
+  problem_.go_to_reference();
+  problem_.assemble();
+  if (problem_.energy < energy) return true;
+  problem_.go_back_and_move(0.0);
+  return false;
+}
+
+}  // namespace followthrough

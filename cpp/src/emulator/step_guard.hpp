@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+/// @file
+/// Watches what the steps of a frame's passes do to the energy (patch_newton.hpp). Guides are mostly right, and nothing says that
+/// they always are.
+#pragma once
+
+#include <optional>
+
+#include "emulator/newton_problem.hpp"
+
+namespace followthrough {
+
+class StepGuard {
+ public:
+  explicit StepGuard(NewtonProblem& problem) : problem_(problem) {}
+
+  /// Of a frame: nothing has been taken yet.
+  void begin() { taken_.reset(); }
+  /// @brief Evaluates the estimate. Where the step that led to it makes the energy worse, the direction is taken instead, or the
+  /// part of it that brings the energy down, or, where compression makes the energy a cubic, more than all of it.
+  /// @return root mean square of the first preconditioned residual; 0 where nothing brought the energy down, so that nothing was
+  /// moved
+  double evaluate();
+  /// The estimate, evaluated and solved, is about to be moved: by a guide's step or along the direction.
+  /// @param last of the frame's passes: nothing smooths the ripples that it leaves
+  void before_step(bool guided, bool last);
+  /// Evaluates the last step, if there is one that has not been.
+  void end() {
+    if (taken_) evaluate();
+  }
+  /// @brief After `end`: goes to the reference where that has less energy, inertia included.
+  ///
+  /// Flesh that was torn and twisted may have found another equilibrium. Mostly inertia alone has more energy there.
+  /// @return whether it went
+  bool go_to_better_reference();
+
+ private:
+  /// A pass's step, until it is known what it did to the energy.
+  struct TakenStep {
+    double energy, left, slope;  ///< where it began; along the whole direction
+    double share;                ///< of the direction; 0: a guide's
+    bool last;
+
+    bool good(double energy_there, double left_there) const;
+    /// Where the parabola through what is known of a share is least.
+    double shorter_share(double energy_there) const;
+  };
+
+  double retake(double share);
+  double lengthen(double left);
+
+  NewtonProblem& problem_;
+  std::optional<TakenStep> taken_;  // not evaluated yet
+  double left_ = 0;
+};
+
+}  // namespace followthrough
