@@ -185,12 +185,17 @@ class Learning(Bake):
             self._recordings[character.name].reference.append(_surface(character.motion.volume, pose))
         return poses
 
+    def _row(self, *_arguments: object) -> None:  # type: ignore[override]
+        """Nowhere: recordings take what comes."""
+        return None
+
     def _collect(self, index: int) -> None:
         frame, _ = self._schedule[index]
         for character in self._characters:
             recording = self._recordings[character.name]
             with _told_apart(f"Object '{character.name}', frame {frame}"):
                 result = character.motion.finish()
+                assert result.displacements is not None
                 if not np.isfinite(result.displacements).all():
                     raise ValueError("the motion is no longer finite")
             if not result.converged and character.motion.settings.simulation.quality != "preview":
