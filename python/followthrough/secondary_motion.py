@@ -285,9 +285,7 @@ class SecondaryMotion:
             return self._rigged.step(pose, next_pose)
         return self._sampled_step(pose, next_pose)
 
-    def begin(
-        self, pose: Pose, next_pose: Pose | None = None, into: NDArray[np.float32] | None = None
-    ) -> None:
+    def begin(self, pose: Pose, next_pose: Pose | None = None, into: NDArray[np.float32] | None = None) -> None:
         """Start `step` on a thread of its own, while the caller reads the next poses. `finish` or `abandon` must follow.
 
         Several frames may be under way at once; they are taken in the order in which they begin.

@@ -236,6 +236,8 @@ class Bake:
             if obj is None or len(obj.data.vertices) != character.offsets.shape[1]:
                 self.cancel()
                 raise NotBakeableError(f"Object '{character.name}' has been removed or changed: bake again")
+        # Evaluating so many keys takes Blender longer than writing them: that is left to whoever shows them.
+        self._back_to_frame()
         self._put_back()
         frames, length = range(self.start, self.end + 1), actions.frame_length(bpy.data.scenes[self._scene])
         try:
@@ -253,7 +255,6 @@ class Bake:
             self.cancel()
             raise
         modes.enter_modes(self._modes)
-        self._back_to_frame()
         self._closed = True
         self.recovery.end()
         return BakeReport(
