@@ -185,7 +185,7 @@ class Learning(Bake):
             self._recordings[character.name].reference.append(_surface(character.motion.volume, pose))
         return poses
 
-    def _row(self, *_arguments: object) -> None:  # type: ignore[override]
+    def _row(self, *_arguments: object) -> None:
         """Nowhere: recordings take what comes."""
         return None
 

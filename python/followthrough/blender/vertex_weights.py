@@ -34,12 +34,14 @@ class VertexWeights:
 
     def table(self, bone_of_group: dict[int, int]) -> tuple[IntArray, FloatArray]:
         """Table (v, k) of bones and of weights, of those groups that stand for a bone; unused places have weight 0."""
-        bones = np.full(max((*bone_of_group, *self.groups, 0)) + 1, -1)
+        bones = np.full(max(max(bone_of_group, default=0), int(self.groups.max(initial=0))) + 1, -1)
         bones[list(bone_of_group)] = list(bone_of_group.values())
         chosen = bones[self.groups] >= 0
         vertices = self.vertices[chosen]
-        first = np.searchsorted(vertices, vertices)  # a vertex's elements follow each other
-        place = np.arange(len(vertices)) - first
+        counts = np.bincount(vertices, minlength=self.vertex_count)
+        place = (
+            np.arange(len(vertices)) - (np.cumsum(counts) - counts)[vertices]
+        )  # a vertex's elements follow each other
         width = int(place.max(initial=0)) + 1
         indices = np.zeros((self.vertex_count, width), dtype=np.int32)
         weights = np.zeros((self.vertex_count, width))
