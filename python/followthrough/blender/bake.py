@@ -39,8 +39,9 @@ from followthrough.blender.still_meshes import StillMeshes
 from followthrough.blender.vertex_weights import VertexWeights, read_weights
 from followthrough.blender.work_beside import work_beside_blender
 from followthrough.character import BonePose, Paint, Pose, Surface
+from followthrough.mesh import TetMesh
 from followthrough.secondary_motion import SecondaryMotion
-from followthrough.settings import Settings
+from followthrough.settings import Settings, VolumeSettings
 from followthrough.volume import make_tets
 
 #: Poses that are read before they are needed take so many bytes at most.
@@ -313,7 +314,7 @@ class Bake:
         tets = thread.submit(make_tets, bare, settings.motion.volume)
         weights = read_weights(obj)
         surface = bare if deformation.armature is None else with_skeleton(obj, bare, weights)
-        paint = self._read_paint(obj, surface, settings.groups, weights)
+        paint = self._read_paint(obj, surface, settings, weights, tets.result)
         name = obj.name
 
         def make_motion() -> SecondaryMotion:
@@ -331,9 +332,15 @@ class Bake:
         )
 
     def _read_paint(
-        self, obj: bpy.types.Object, surface: Surface, groups: PaintGroups, weights: VertexWeights
+        self,
+        obj: bpy.types.Object,
+        surface: Surface,
+        settings: ObjectSettings,
+        weights: VertexWeights,
+        tets: Callable[[], TetMesh],
     ) -> Paint:
-        return read_paint(obj, surface, groups, weights)
+        usual = settings.motion.volume == VolumeSettings()  # for which paint is suggested
+        return read_paint(obj, surface, settings.groups, weights, tets if usual else None)
 
     def _read_ahead_until(self, made: concurrent.futures.Future[SecondaryMotion]) -> None:
         """Read poses in the order in which they are needed, for as long as that takes."""
