@@ -262,6 +262,11 @@ class SecondaryMotion:
         tet_mesh = self.volume.tet_mesh
         return int(loose_vertices(self.volume)[tet_mesh.tets[tet_mesh.embedding_tets, 0]].sum())
 
+    @property
+    def is_quick(self) -> bool:
+        """Whether frames are so short, and their poses so small, that many of them had better be under way at once."""
+        return self._rigged is not None and self.solver.is_quick
+
     def reset(self, pose: Pose) -> Frame:
         """Start over in this pose, without secondary motion."""
         if self._rigged is not None:
@@ -331,8 +336,11 @@ class SecondaryMotion:
         return frame
 
     def abandon(self) -> None:
-        """Leave the frames under way to themselves, if there are any: nothing waits for their end, and nobody sees them."""
+        """Leave the frames under way to themselves, if there are any: nothing waits for their end, and nobody sees them. The motion is over
+        then.
+        """
         if self._under_way:
+            self._under_way = 0
             # The thread keeps all that a frame needs for as long as it needs it.
             threading.Thread(target=self._drop).start()
 

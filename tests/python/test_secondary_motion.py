@@ -90,6 +90,14 @@ def characters() -> dict[str, tuple[SecondaryMotion, list[Pose]]]:
     }
 
 
+def test_frames_are_quick_where_springs_follow_a_rig() -> None:
+    assert characters()["rigged"][0].is_quick
+    assert not characters()["sampled"][0].is_quick
+    corners, triangles, rig, paint = cube()
+    flesh = Settings(solver="implicit-euler", volume=VolumeSettings(cells=4))
+    assert not SecondaryMotion(Surface(corners, triangles, rig=rig), paint, flesh, DT).is_quick
+
+
 @pytest.mark.parametrize("name", ["rigged", "sampled"])
 def test_frames_under_way_are_written_as_single_precision_in_their_order(name: str) -> None:
     plain, frames = characters()[name]
@@ -163,10 +171,9 @@ def test_what_is_abandoned_ends_by_itself(name: str) -> None:
     for _ in range(50):
         motion.begin(frames[1], frames[2], np.empty((8, 3), dtype=np.float32))
     motion.abandon()
+    motion.abandon()
     with pytest.raises(ValueError, match="no frame under way"):
         motion.finish()
-    motion.begin(frames[1])
-    del motion
 
 
 @pytest.mark.parametrize("size", [1.0, 100.0])

@@ -48,7 +48,7 @@ from followthrough.volume import make_tets
 LOOK_AHEAD = 2**26
 #: Seconds for which poses are read at once.
 BURST = 0.02
-#: Frames of quick solvers that are under way at once, at most: a few bursts' worth.
+#: Frames that are under way at once, at most, where all objects' are quick; otherwise it is one.
 UNDER_WAY = 64
 
 
@@ -463,11 +463,11 @@ class Bake:
         """Collect frames where there is no room for another one: half of them, so that threads seldom wait for each other. Where the cache
         is to be written, all of them, as it knows the solvers after the last one alone.
         """
-        quick = all(character.motion.solver.is_quick for character in self._characters)
+        most = UNDER_WAY if all(character.motion.is_quick for character in self._characters) else 1
         if self.recovery.is_due:
             yield from self._collect_until(0, patience)
-        elif len(self._under_way) >= (UNDER_WAY if quick else 1):
-            yield from self._collect_until(UNDER_WAY // 2 if quick else 0, patience)
+        elif len(self._under_way) >= most:
+            yield from self._collect_until(most // 2, patience)
 
     def _collect_until(self, left: int, patience: float | None) -> Iterator[Progress]:
         """Collect the oldest frames under way, until so many are left."""
