@@ -322,7 +322,9 @@ class Bake:
                 return SecondaryMotion(surface, paint, settings.motion, self._dt, tets.result())
 
         made = thread.submit(make_motion)
-        offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
+        # Of large arrays NumPy asks for large pages, unless they are to be zero: every frame but the first is written anyway.
+        offsets = np.empty((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
+        offsets[0] = 0.0
         finder = self._make_finder(obj, surface, settings.motion.minimum_stretch) if surface.rig is None else None
         reader = make_reader(obj, deformation, surface)
         self._characters.append(
