@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import concurrent.futures
-import contextlib
 import threading
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from followthrough import _core
 from followthrough.character import BonePose, FloatArray, LearnedSprings, Paint, Pose, Surface
@@ -32,8 +33,8 @@ class Frame:
     offsets : (v, 3) float64 or None
         What to add to the mesh's rest vertices, in its object space, so that the rig moves them to where the motion wants them.
         None where something else than a rig moves the mesh: whoever can evaluate it finds them (`followthrough.offset_search`).
-    displacements : (v, 3) float64
-        The secondary motion itself, in the world, metres.
+    displacements : (v, 3) float64 or None
+        The secondary motion itself, in the world, metres. None where the frame was written elsewhere (`SecondaryMotion.begin`).
     largest_displacement : float
         Metres.
     largest_residual : float
@@ -44,7 +45,7 @@ class Frame:
     """
 
     offsets: FloatArray | None
-    displacements: FloatArray
+    displacements: FloatArray | None
     largest_displacement: float
     largest_residual: float
     converged: bool = True
@@ -165,22 +166,33 @@ class RiggedMotion:
         reference: FloatArray = self._core.reference(self._pose(pose))
         return reference
 
-    def begin(self, pose: Pose, next_pose: Pose | None) -> None:
-        """Start a frame on the core's own thread."""
-        self._core.begin(*self._poses(pose, next_pose))
+    def begin(self, pose: Pose, next_pose: Pose | None, into: NDArray[np.float32] | None) -> None:
+        """Start a frame on the core's own thread, after those that are under way there."""
+        self._core.begin(*self._poses(pose, next_pose), into)
 
     def wait(self, seconds: float) -> bool:
-        """Wait for it, so long at most; whether `finish` would no longer wait."""
+        """Wait for the oldest one, so long at most; whether `finish` would no longer wait."""
         done: bool = self._core.wait(seconds)
         return done
 
     def finish(self) -> Frame:
-        """Wait for it."""
+        """Wait for the oldest one."""
         return self._frame(self._core.finish())
+
+    def abandon(self) -> None:
+        """Drop all that are under way, once what has been started of them has ended."""
+        self._core.abandon()
 
     def _frame(self, result: tuple[FloatArray, FloatArray, float, float]) -> Frame:
         offsets, displacements, largest_displacement, largest_residual = result
-        return Frame(offsets, displacements, largest_displacement, largest_residual, converged=self._solver.converged)
+        written = not len(displacements)
+        return Frame(
+            None if written else offsets,
+            None if written else displacements,
+            largest_displacement,
+            largest_residual,
+            converged=self._solver.converged,
+        )
 
     def _poses(self, pose: Pose, next_pose: Pose | None) -> tuple[Any, Any]:
         """Both for the core; the pose ahead is the next call's pose."""
@@ -239,8 +251,8 @@ class SecondaryMotion:
         self._rigged = None if surface.rig is None else RiggedMotion(self.volume, self.solver, settings.minimum_stretch)
         self._ahead: tuple[Pose, FloatArray] | None = None
         self._threads: concurrent.futures.ThreadPoolExecutor | None = None
-        self._begun: concurrent.futures.Future[Frame] | None = None
-        self._under_way = False
+        self._begun: deque[concurrent.futures.Future[Frame]] = deque()
+        self._under_way = 0
 
     @property
     def loose_vertex_count(self) -> int:
@@ -249,6 +261,11 @@ class SecondaryMotion:
             return 0
         tet_mesh = self.volume.tet_mesh
         return int(loose_vertices(self.volume)[tet_mesh.tets[tet_mesh.embedding_tets, 0]].sum())
+
+    @property
+    def is_quick(self) -> bool:
+        """Whether frames are so short, and their poses so small, that many of them had better be under way at once."""
+        return self._rigged is not None and self.solver.is_quick
 
     def reset(self, pose: Pose) -> Frame:
         """Start over in this pose, without secondary motion."""
@@ -273,48 +290,71 @@ class SecondaryMotion:
             return self._rigged.step(pose, next_pose)
         return self._sampled_step(pose, next_pose)
 
-    def begin(self, pose: Pose, next_pose: Pose | None = None) -> None:
-        """Start `step` on a thread of its own, while the caller reads the next pose. `finish` or `abandon` must follow."""
+    def begin(self, pose: Pose, next_pose: Pose | None = None, into: NDArray[np.float32] | None = None) -> None:
+        """Start `step` on a thread of its own, while the caller reads the next poses. `finish` or `abandon` must follow.
+
+        Several frames may be under way at once; they are taken in the order in which they begin.
+
+        Parameters
+        ----------
+        pose, next_pose
+            As for `step`.
+        into : (v, 3) float32, optional
+            Takes, in rows without gaps, the offsets (the displacements where something else than a rig moves the mesh) in place of the
+            frame's arrays, which are then None. Where they are more than single precision holds, the frame is an error.
+        """
         if self._rigged is not None:
-            self._rigged.begin(pose, next_pose)
+            self._rigged.begin(pose, next_pose, into)
         else:
             if self._threads is None:
                 self._threads = concurrent.futures.ThreadPoolExecutor(max_workers=1)
-            self._begun = self._threads.submit(self._sampled_step, pose, next_pose)
-        self._under_way = True
+            self._begun.append(self._threads.submit(self._sampled_step, pose, next_pose, into))
+        self._under_way += 1
 
     def wait(self, seconds: float) -> bool:
-        """Wait for the frame under way, so long at most; whether `finish` would no longer wait."""
+        """Wait for the oldest frame under way, so long at most; whether `finish` would no longer wait."""
         if self._rigged is not None:
             return self._rigged.wait(seconds)
-        return self._begun is None or bool(concurrent.futures.wait([self._begun], seconds).done)
+        return not self._begun or bool(concurrent.futures.wait([self._begun[0]], seconds).done)
 
     def finish(self) -> Frame:
-        """Wait for what `begin` started: the same frame, to the bit, that `step` returns."""
+        """Wait for the oldest frame that `begin` started: the same, to the bit, that `step` returns.
+
+        Raises
+        ------
+        ValueError
+            As `step`. The frames that were begun later are then dropped.
+        """
         if not self._under_way:
             raise ValueError("pose: found no frame under way, expected begin to be called first")
-        self._under_way = False
-        return self._collect()
+        try:
+            frame = self._begun.popleft().result() if self._rigged is None else self._rigged.finish()
+        except BaseException:
+            self._drop()
+            raise
+        self._under_way -= 1
+        return frame
 
     def abandon(self) -> None:
-        """Leave a frame under way to itself, if there is one: nothing waits for its end, and nobody sees it."""
+        """Leave the frames under way to themselves, if there are any: nothing waits for their end, and nobody sees them. The motion is over
+        then.
+        """
         if self._under_way:
-            self._under_way = False
-            # The thread keeps all that the frame needs for as long as it needs it.
-            threading.Thread(target=self._collect_in_vain).start()
+            self._under_way = 0
+            # The thread keeps all that a frame needs for as long as it needs it.
+            threading.Thread(target=self._drop).start()
 
-    def _collect(self) -> Frame:
+    def _drop(self) -> None:
+        """Drop all frames under way, and wait for what has been started of them."""
+        self._under_way = 0
         if self._rigged is not None:
-            return self._rigged.finish()
-        assert self._begun is not None
-        begun, self._begun = self._begun, None
-        return begun.result()
+            self._rigged.abandon()
+        for begun in self._begun:
+            begun.cancel()
+        concurrent.futures.wait(self._begun)
+        self._begun.clear()
 
-    def _collect_in_vain(self) -> None:
-        with contextlib.suppress(ValueError):
-            self._collect()
-
-    def _sampled_step(self, pose: Pose, next_pose: Pose | None) -> Frame:
+    def _sampled_step(self, pose: Pose, next_pose: Pose | None, into: NDArray[np.float32] | None = None) -> Frame:
         if isinstance(pose, BonePose):
             raise ValueError("pose: found bone matrices, but this character has no rig; expected a SampledPose")
         known = self._ahead is not None and self._ahead[0] is pose
@@ -322,7 +362,14 @@ class SecondaryMotion:
         self._ahead = None if next_pose is None else (next_pose, self.volume.reference(next_pose))
         dynamic = self.solver.step(reference, None if self._ahead is None else self._ahead[1])
         displacements = self.volume.surface_displacements(dynamic, reference)
-        return Frame(None, displacements, _longest(displacements), 0.0, self.solver.converged)
+        longest = _longest(displacements)
+        if into is None:
+            return Frame(None, displacements, longest, 0.0, self.solver.converged)
+        with np.errstate(over="ignore"):  # told below
+            np.copyto(into, displacements, casting="same_kind")
+        if not np.isfinite(into).all():
+            raise ValueError("the motion is no longer finite")
+        return Frame(None, None, longest, 0.0, self.solver.converged)
 
 
 def _longest(vectors: FloatArray) -> float:

@@ -11,6 +11,7 @@ that is stiffer than paint goes, soft pins hold the rest.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -42,13 +43,15 @@ _ROUNDS = 2
 _SMOOTHING = 3
 
 
-def suggest_paint(surface: Surface) -> Paint:
+def suggest_paint(surface: Surface, tets: Callable[[], mesh.TetMesh] | None = None) -> Paint:
     """Suggested stiffness, mass and pins of a character ([ZS] 3.1 for the pins).
 
     Parameters
     ----------
     surface
         The character at rest. Without an armature nothing is pinned, and everything is of medium stiffness.
+    tets
+        Gives what `make_tets` gives for this surface in a volume of the usual settings, where the caller makes that anyway.
     """
     count = len(surface.rest_positions)
     neutral = np.full(count, 0.5)
@@ -56,7 +59,7 @@ def suggest_paint(surface: Surface) -> Paint:
         return Paint(stiffness=neutral, mass=neutral.copy(), pins=np.zeros(count))
     near = pins_near_bones(surface)
     paint = Paint(stiffness=neutral, mass=neutral.copy(), pins=near)
-    volume = build_volume(surface, paint, VolumeSettings())
+    volume = build_volume(surface, paint, VolumeSettings(), tets() if tets is not None else None)
     if (volume.pinned | loose_vertices(volume)).all():
         return paint
     stiffness, pins = mesh.interpolate(

@@ -1,23 +1,17 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "followthrough/motion/rigged_motion.hpp"
 
-#include <omp.h>
-
 #include <algorithm>
 #include <array>
-#include <chrono>
 #include <cmath>
-#include <condition_variable>
-#include <exception>
-#include <mutex>
 #include <optional>
-#include <thread>
 #include <utility>
 
 #include <Eigen/LU>
 
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
+#include "motion/motion_worker.hpp"
 #include "motion/surface_offsets.hpp"
 #include "skinning/bone_blend.hpp"
 #include "skinning/stretch_solve.hpp"
@@ -27,7 +21,6 @@ namespace followthrough {
 namespace {
 
 using Eigen::Matrix3d;
-using Eigen::RowVector3d;
 using Eigen::Vector3d;
 
 using RowMatrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
@@ -50,24 +43,45 @@ auto surface_kernel() {
   }
 }
 
+/// Where the offsets of a frame go: rounded, or in double precision with the displacements beside them.
+struct FrameOut {
+  MotionFrame& frame;
+  float* rounded;
+
+  /// Returns false where the offset is not finite there.
+  bool write(Eigen::Index vertex, const Vector3d& displacement, const Vector3d& offset) const {
+    if (rounded) {
+      const Eigen::Vector3f narrow = offset.cast<float>();
+      Eigen::Map<Eigen::Vector3f>(rounded + 3 * vertex) = narrow;
+      return narrow.allFinite();
+    }
+    frame.displacements.row(vertex) = displacement;
+    frame.offsets.row(vertex) = offset;
+    return offset.allFinite();
+  }
+};
+
+Vector3d displacement_of(const Tets& corners, const Weights4& weights, const Weights4& moved, Eigen::Index vertex) {
+  const auto tet = corners.row(vertex);
+  const auto share = weights.row(vertex);
+  return (share[0] * moved.row(tet[0]) + share[1] * moved.row(tet[1]) + share[2] * moved.row(tet[2]) + share[3] * moved.row(tet[3]))
+      .head<3>();
+}
+
 /// Writes the offset that shows a vertex's displacement; returns false where that cannot be done with finite numbers.
-bool offset_of(const BoneBlend& blend, Eigen::Index vertex, double minimum_stretch, const Matrix3d& to_world,
-               const Matrix3d& to_object, MotionFrame& frame, double& residual_squared) {
+bool write_offset(const BoneBlend& blend, Eigen::Index vertex, const Vector3d& displacement, double minimum_stretch,
+                  const Matrix3d& to_world, const Matrix3d& to_object, const FrameOut& out, double& residual_squared) {
   bool valid = true;
   const Matrix3d jacobian = blend.vertex_transform(vertex, valid).linear;
-  const Vector3d wanted = to_object * frame.displacements.row(vertex).transpose();
+  const Vector3d wanted = to_object * displacement;
   const Vector3d offset = stretch_solve(jacobian, wanted, minimum_stretch);
-  frame.offsets.row(vertex) = offset;
   residual_squared = std::max(residual_squared, (to_world * (wanted - jacobian * offset)).squaredNorm());
-  return valid && offset.allFinite();
+  return out.write(vertex, displacement, offset) && valid;
 }
 
 SurfaceShare linear_offsets(const RiggedCharacter& character, const Tets& corners, const BoneBlend& blend, const BoneRows& bones,
-                            const Positions& moved, const Matrix3d& to_world, const Matrix3d& to_object, MotionFrame& frame) {
-  Weights4 padded(moved.rows(), 4);
-  padded.leftCols<3>() = moved;
-  padded.col(3).setZero();
-  SurfaceFrame surface{padded.data(),
+                            const Weights4& moved, const Matrix3d& to_world, const Matrix3d& to_object, const FrameOut& out) {
+  SurfaceFrame surface{moved.data(),
                        corners.data(),
                        character.embedding.weights.data(),
                        bones,
@@ -75,8 +89,9 @@ SurfaceShare linear_offsets(const RiggedCharacter& character, const Tets& corner
                        {},
                        {},
                        character.minimum_stretch,
-                       frame.displacements.data(),
-                       frame.offsets.data()};
+                       out.frame.displacements.data(),
+                       out.frame.offsets.data(),
+                       out.rounded};
   Eigen::Map<RowMatrix3>(surface.to_object) = to_object;
   Eigen::Map<RowMatrix3>(surface.to_world) = to_world;
   const auto kernel = surface_kernel();
@@ -98,14 +113,15 @@ SurfaceShare linear_offsets(const RiggedCharacter& character, const Tets& corner
     residual_squared = std::max(residual_squared, done.residual_squared);
     for (std::int64_t k = 0; k < done.flattened; ++k) {
       const Eigen::Index vertex = flattened[static_cast<std::size_t>(k)];
-      unusable |= !offset_of(blend, vertex, character.minimum_stretch, to_world, to_object, frame, residual_squared);
+      const Vector3d displacement = displacement_of(corners, character.embedding.weights, moved, vertex);
+      unusable |= !write_offset(blend, vertex, displacement, character.minimum_stretch, to_world, to_object, out, residual_squared);
     }
   }
   return {unusable == 0, displacement_squared, residual_squared};
 }
 
-SurfaceShare any_offsets(const RiggedCharacter& character, const Tets& corners, const BoneBlend& blend, const Positions& moved,
-                         const Matrix3d& to_world, const Matrix3d& to_object, MotionFrame& frame) {
+SurfaceShare any_offsets(const RiggedCharacter& character, const Tets& corners, const BoneBlend& blend, const Weights4& moved,
+                         const Matrix3d& to_world, const Matrix3d& to_object, const FrameOut& out) {
   int unusable = 0;
   double displacement_squared = 0.0;
   double residual_squared = 0.0;
@@ -114,18 +130,14 @@ SurfaceShare any_offsets(const RiggedCharacter& character, const Tets& corners, 
 #pragma omp parallel for schedule(static) num_threads(threads) reduction(| : unusable) \
     reduction(max : displacement_squared, residual_squared)
   for (Eigen::Index vertex = 0; vertex < count; ++vertex) {
-    const auto tet = corners.row(vertex);
-    const auto weights = character.embedding.weights.row(vertex);
-    const RowVector3d displacement = weights[0] * moved.row(tet[0]) + weights[1] * moved.row(tet[1]) +
-                                     weights[2] * moved.row(tet[2]) + weights[3] * moved.row(tet[3]);
-    frame.displacements.row(vertex) = displacement;
+    const Vector3d displacement = displacement_of(corners, character.embedding.weights, moved, vertex);
     const double length_squared = displacement.squaredNorm();
     if (length_squared == 0.0) {  // pinned: most of a character
-      frame.offsets.row(vertex).setZero();
+      out.write(vertex, displacement, Vector3d::Zero());
       continue;
     }
     displacement_squared = std::max(displacement_squared, length_squared);
-    unusable |= !offset_of(blend, vertex, character.minimum_stretch, to_world, to_object, frame, residual_squared);
+    unusable |= !write_offset(blend, vertex, displacement, character.minimum_stretch, to_world, to_object, out, residual_squared);
   }
   return {unusable == 0, displacement_squared, residual_squared};
 }
@@ -136,81 +148,6 @@ bool same(const RigPose& a, const RigPose& b) {
 }
 
 }  // namespace
-
-/// One thread, with helpers where it may have some, that takes one frame at a time.
-class RiggedMotion::Worker {
- public:
-  explicit Worker(int threads) : thread_([this, threads] { run(threads); }) {}
-  ~Worker() {
-    {
-      const std::lock_guard lock(mutex_);
-      closing_ = true;
-    }
-    changed_.notify_all();
-    thread_.join();
-  }
-  Worker(const Worker&) = delete;
-  Worker& operator=(const Worker&) = delete;
-
-  void begin(RiggedMotion& motion, const RigPose& pose, std::unique_ptr<RigPose> next) {
-    {
-      const std::lock_guard lock(mutex_);
-      if (motion_) throw InvalidInput("pose", "found a frame under way, expected finish to be called first");
-      motion_ = &motion;
-      pose_ = pose;
-      next_ = std::move(next);
-      result_.reset();
-      error_ = nullptr;
-    }
-    changed_.notify_all();
-  }
-
-  bool wait(double seconds) {
-    std::unique_lock lock(mutex_);
-    return changed_.wait_for(lock, std::chrono::duration<double>(seconds), [this] { return !motion_ || result_ || error_; });
-  }
-
-  MotionFrame finish() {
-    std::unique_lock lock(mutex_);
-    if (!motion_) throw InvalidInput("pose", "found no frame under way, expected begin to be called first");
-    changed_.wait(lock, [this] { return result_ || error_; });
-    motion_ = nullptr;
-    if (error_) std::rethrow_exception(std::exchange(error_, nullptr));
-    return std::move(*result_);
-  }
-
- private:
-  void run(int threads) {
-    if (threads > 0) omp_set_num_threads(threads);  // of this thread's own parallel regions
-    std::unique_lock lock(mutex_);
-    while (true) {
-      changed_.wait(lock, [this] { return closing_ || (motion_ && !result_ && !error_); });
-      if (closing_) return;
-      lock.unlock();
-      std::optional<MotionFrame> result;
-      std::exception_ptr error;
-      try {
-        result = motion_->step(pose_, next_.get());
-      } catch (...) {
-        error = std::current_exception();
-      }
-      lock.lock();
-      result_ = std::move(result);
-      error_ = error;
-      changed_.notify_all();
-    }
-  }
-
-  std::mutex mutex_;
-  std::condition_variable changed_;
-  bool closing_ = false;
-  RiggedMotion* motion_ = nullptr;  // the frame under way
-  RigPose pose_;
-  std::unique_ptr<RigPose> next_;
-  std::optional<MotionFrame> result_;
-  std::exception_ptr error_;
-  std::thread thread_;  // last: it uses all of the above
-};
 
 RiggedMotion::RiggedMotion(RiggedCharacter character, Solver& solver, int threads)
     : character_(std::move(character)), solver_(solver), threads_(threads) {
@@ -245,12 +182,18 @@ Positions RiggedMotion::reference(const RigPose& pose) const {
 }
 
 void RiggedMotion::reset(const RigPose& pose) {
+  require_idle();
   const Positions start = reference(pose);
   solver_.reset(start);
   ahead_reference_.resize(0, 3);
 }
 
 MotionFrame RiggedMotion::step(const RigPose& pose, const RigPose* next) {
+  require_idle();
+  return show(pose, solve(pose, next), nullptr);
+}
+
+Weights4 RiggedMotion::solve(const RigPose& pose, const RigPose* next) {
   const bool known = ahead_reference_.rows() > 0 && same(pose, ahead_pose_);
   const Positions here = known ? std::move(ahead_reference_) : reference(pose);
   ahead_reference_.resize(0, 3);
@@ -258,19 +201,25 @@ MotionFrame RiggedMotion::step(const RigPose& pose, const RigPose* next) {
     ahead_reference_ = reference(*next);
     ahead_pose_ = *next;
   }
-  const Positions moved = solver_.step(here, next ? &ahead_reference_ : nullptr) - here;
+  Weights4 moved(here.rows(), 4);
+  moved.leftCols<3>() = solver_.step(here, next ? &ahead_reference_ : nullptr) - here;
+  moved.col(3).setZero();
+  return moved;
+}
 
+MotionFrame RiggedMotion::show(const RigPose& pose, const Weights4& moved, float* rounded) const {
   const Matrix3d to_world = pose.world.topLeftCorner<3, 3>();
   const Matrix3d to_object = to_world.inverse();
   const BoneBlend blend({character_.surface_bones, character_.surface_weights},
                         {pose.bone_matrices, character_.bone_rest_matrices, pose.armature}, character_.skinning);
-  const Eigen::Index count = blend.vertex_count();
-  MotionFrame frame{Positions(count, 3), Positions(count, 3)};
+  const Eigen::Index kept = rounded ? 0 : blend.vertex_count();
+  MotionFrame frame{Positions(kept, 3), Positions(kept, 3)};
+  const FrameOut out{frame, rounded};
   SurfaceShare found;
   if (const std::optional<BoneRows> bones = blend.linear_rows()) {
-    found = linear_offsets(character_, corners_, blend, *bones, moved, to_world, to_object, frame);
+    found = linear_offsets(character_, corners_, blend, *bones, moved, to_world, to_object, out);
   } else {
-    found = any_offsets(character_, corners_, blend, moved, to_world, to_object, frame);
+    found = any_offsets(character_, corners_, blend, moved, to_world, to_object, out);
   }
   if (!found.usable || !std::isfinite(found.displacement_squared)) {
     blend.require_weights();
@@ -281,9 +230,9 @@ MotionFrame RiggedMotion::step(const RigPose& pose, const RigPose* next) {
   return frame;
 }
 
-void RiggedMotion::begin(const RigPose& pose, std::unique_ptr<RigPose> next) {
-  if (!worker_) worker_ = std::make_unique<Worker>(threads_);
-  worker_->begin(*this, pose, std::move(next));
+void RiggedMotion::begin(const RigPose& pose, std::unique_ptr<RigPose> next, float* offsets) {
+  if (!worker_) worker_ = std::make_unique<Worker>(*this, threads_);
+  worker_->begin(pose, std::move(next), offsets);
 }
 
 bool RiggedMotion::wait(double seconds) { return !worker_ || worker_->wait(seconds); }
@@ -291,6 +240,16 @@ bool RiggedMotion::wait(double seconds) { return !worker_ || worker_->wait(secon
 MotionFrame RiggedMotion::finish() {
   if (!worker_) throw InvalidInput("pose", "found no frame under way, expected begin to be called first");
   return worker_->finish();
+}
+
+void RiggedMotion::abandon() {
+  if (worker_) worker_->abandon();
+}
+
+void RiggedMotion::require_idle() const {
+  if (worker_ && !worker_->idle()) {
+    throw InvalidInput("pose", "found a frame under way, expected finish to be called first");
+  }
 }
 
 }  // namespace followthrough

@@ -22,11 +22,12 @@ struct SurfaceFrame {
   double minimum_stretch;
   double* displacements;  ///< out: (v,3) in the world, m
   double* offsets;        ///< out: (v,3) in the object's space at rest
+  float* rounded;         ///< out: the offsets; where it is not null, the other two may be, and are not written
 };
 
 /// What the kernel found in its vertices.
 struct SurfaceShare {
-  bool usable = true;                 ///< false where a weight or index cannot be used, or an offset is not finite
+  bool usable = true;                 ///< false where a weight or index cannot be used, or an offset is not finite as it is written
   double displacement_squared = 0.0;  ///< largest, m²
   double residual_squared = 0.0;      ///< largest that is left of a displacement, m²
   std::int64_t flattened = 0;         ///< vertices whose offsets are not written, because stretches may have to be clamped

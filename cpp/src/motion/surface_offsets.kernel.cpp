@@ -23,6 +23,19 @@ struct Block {
   double residual_squared[block_size];
 };
 
+/// Writes three numbers to a row of a table; returns whether they are finite there.
+template <typename Number>
+bool write(Number* table, std::int64_t row, double x, double y, double z) {
+  Number* out = table + 3 * row;
+  out[0] = static_cast<Number>(x), out[1] = static_cast<Number>(y), out[2] = static_cast<Number>(z);
+  const Number zero = (out[0] - out[0]) + (out[1] - out[1]) + (out[2] - out[2]);
+  return zero == Number(0);
+}
+
+bool write_offset(const SurfaceFrame& frame, std::int64_t vertex, double x, double y, double z) {
+  return frame.rounded ? write(frame.rounded, vertex, x, y, z) : write(frame.offsets, vertex, x, y, z);
+}
+
 /// Adds a vertex that does not move exactly as its bones do; returns false where its weights cannot be used.
 bool gather(const SurfaceFrame& frame, std::int64_t vertex, Block& block) {
   const std::int32_t* corners = frame.corners + 4 * vertex;
@@ -33,12 +46,9 @@ bool gather(const SurfaceFrame& frame, std::int64_t vertex, Block& block) {
     for (int k = 1; k < 4; ++k) sum += weights[k] * load(frame.moved + 4 * static_cast<std::int64_t>(corners[k]) + part);
     store(moved + part, sum);
   }
-  double* displacement = frame.displacements + 3 * vertex;
-  for (int axis = 0; axis < 3; ++axis) displacement[axis] = moved[axis];
+  if (!frame.rounded) write(frame.displacements, vertex, moved[0], moved[1], moved[2]);
   if (moved[0] == 0.0 && moved[1] == 0.0 && moved[2] == 0.0) {  // pinned: most of a character
-    double* offset = frame.offsets + 3 * vertex;
-    for (int axis = 0; axis < 3; ++axis) offset[axis] = 0.0;
-    return true;
+    return write_offset(frame, vertex, 0.0, 0.0, 0.0);
   }
   BoneRows rows = frame.bones;
   rows.indices += vertex * rows.places;
@@ -117,11 +127,7 @@ void scatter(const SurfaceFrame& frame, const Block& block, std::int32_t* flatte
       continue;
     }
     if (block.residual_squared[i] > share.residual_squared) share.residual_squared = block.residual_squared[i];
-    double* offset = frame.offsets + 3 * static_cast<std::int64_t>(block.vertices[i]);
-    for (int axis = 0; axis < 3; ++axis) {
-      offset[axis] = block.offset[axis][i];
-      share.usable &= offset[axis] - offset[axis] == 0.0;  // finite
-    }
+    share.usable &= write_offset(frame, block.vertices[i], block.offset[0][i], block.offset[1][i], block.offset[2][i]);
   }
 }
 

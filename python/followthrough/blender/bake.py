@@ -13,6 +13,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from followthrough.blender import actions, modes, outputs
 from followthrough.blender.bake_cache import BakeCache, plan_of
@@ -38,14 +39,17 @@ from followthrough.blender.still_meshes import StillMeshes
 from followthrough.blender.vertex_weights import VertexWeights, read_weights
 from followthrough.blender.work_beside import work_beside_blender
 from followthrough.character import BonePose, Paint, Pose, Surface
+from followthrough.mesh import TetMesh
 from followthrough.secondary_motion import SecondaryMotion
-from followthrough.settings import Settings
+from followthrough.settings import Settings, VolumeSettings
 from followthrough.volume import make_tets
 
 #: Poses that are read before they are needed take so many bytes at most.
 LOOK_AHEAD = 2**26
 #: Seconds for which poses are read at once.
 BURST = 0.02
+#: Frames that are under way at once, at most, where all objects' are quick; otherwise it is one.
+UNDER_WAY = 64
 
 
 @dataclass(frozen=True)
@@ -171,6 +175,7 @@ class Bake:
         self._complete = self._closed = False
         self._characters: list[BakedCharacter] = []
         self._ahead: deque[list[Pose]] = deque()
+        self._under_way: deque[Progress] = deque()
         self._cache = cache
         try:
             self._prepare(scene, objects, frames)
@@ -192,12 +197,12 @@ class Bake:
     def run(self, patience: float | None = None) -> Iterator[Progress]:
         """Simulate, one frame a step, and then search offsets where bones do not tell them. Leaving the loop early cancels.
 
-        While the core simulates a frame on a thread of its own, Blender already evaluates the next one in this thread.
+        While the core simulates frames on a thread of its own, Blender already evaluates the next ones in this thread.
 
         Parameters
         ----------
         patience
-            Where a frame takes longer than so many seconds, the same progress comes again, so that the caller can look
+            Where a frame takes longer than so many seconds, the latest progress comes again, so that the caller can look
             after other things. None: every frame comes once.
 
         Raises
@@ -232,6 +237,8 @@ class Bake:
             if obj is None or len(obj.data.vertices) != character.offsets.shape[1]:
                 self.cancel()
                 raise NotBakeableError(f"Object '{character.name}' has been removed or changed: bake again")
+        # Evaluating so many keys takes Blender longer than writing them: that is left to whoever shows them.
+        self._back_to_frame()
         self._put_back()
         frames, length = range(self.start, self.end + 1), actions.frame_length(bpy.data.scenes[self._scene])
         try:
@@ -249,7 +256,6 @@ class Bake:
             self.cancel()
             raise
         modes.enter_modes(self._modes)
-        self._back_to_frame()
         self._closed = True
         self.recovery.end()
         return BakeReport(
@@ -308,7 +314,7 @@ class Bake:
         tets = thread.submit(make_tets, bare, settings.motion.volume)
         weights = read_weights(obj)
         surface = bare if deformation.armature is None else with_skeleton(obj, bare, weights)
-        paint = self._read_paint(obj, surface, settings.groups, weights)
+        paint = self._read_paint(obj, surface, settings, weights, tets.result)
         name = obj.name
 
         def make_motion() -> SecondaryMotion:
@@ -316,7 +322,9 @@ class Bake:
                 return SecondaryMotion(surface, paint, settings.motion, self._dt, tets.result())
 
         made = thread.submit(make_motion)
-        offsets = np.zeros((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
+        # Of large arrays NumPy asks for large pages, unless they are to be zero: every frame but the first is written anyway.
+        offsets = np.empty((self.end - self.start + 1, len(surface.rest_positions), 3), dtype=np.float32)
+        offsets[0] = 0.0
         finder = self._make_finder(obj, surface, settings.motion.minimum_stretch) if surface.rig is None else None
         reader = make_reader(obj, deformation, surface)
         self._characters.append(
@@ -326,9 +334,15 @@ class Bake:
         )
 
     def _read_paint(
-        self, obj: bpy.types.Object, surface: Surface, groups: PaintGroups, weights: VertexWeights
+        self,
+        obj: bpy.types.Object,
+        surface: Surface,
+        settings: ObjectSettings,
+        weights: VertexWeights,
+        tets: Callable[[], TetMesh],
     ) -> Paint:
-        return read_paint(obj, surface, groups, weights)
+        usual = settings.motion.volume == VolumeSettings()  # for which paint is suggested
+        return read_paint(obj, surface, settings.groups, weights, tets if usual else None)
 
     def _read_ahead_until(self, made: concurrent.futures.Future[SecondaryMotion]) -> None:
         """Read poses in the order in which they are needed, for as long as that takes."""
@@ -406,26 +420,20 @@ class Bake:
                 character.motion.reset(pose)
         self.recovery.poses.add(poses)
         first, poses = yield from self._resume(poses)
-        under_way: Progress | None = None
         for done in range(first, len(self._schedule)):
-            frame = self._schedule[done][0]
             self._read_burst()
             next_poses = self._take_poses() if self._ahead or self._unread else None
-            if under_way is not None:
-                yield from self._wait(under_way, patience)
-                self._collect(done - 1)
-            progress = Progress(done=done + 1, total=self.total, frame=frame)
+            yield from self._make_room(patience)
+            progress = Progress(done=done + 1, total=self.total, frame=self._schedule[done][0])
             if done:
-                self._begin(frame, poses, next_poses)
-                under_way = progress
+                self._begin(done, poses, next_poses)
+                self._under_way.append(progress)
             if next_poses is not None and done + 1 < len(self._schedule):
                 poses = next_poses
                 self.recovery.poses.add(poses)
             if done + 1 < len(self._schedule):
                 yield progress
-        if under_way is not None:
-            yield from self._wait(under_way, patience)
-            self._collect(len(self._schedule) - 1)
+        yield from self._collect_until(0, patience)
         if self._searched and first < len(self._schedule):
             self.recovery.save(len(self._schedule), always=True)  # the displacements, before offsets take their place
         self._complete = not self._searched
@@ -453,11 +461,27 @@ class Bake:
             character.motion.reset(pose)
         return 0, first
 
-    def _wait(self, under_way: Progress, patience: float | None) -> Iterator[Progress]:
-        if patience is not None:
-            for character in self._characters:
-                while not character.motion.wait(patience):
-                    yield under_way
+    def _make_room(self, patience: float | None) -> Iterator[Progress]:
+        """Collect frames where there is no room for another one: half of them, so that threads seldom wait for each other. Where the cache
+        is to be written, all of them, as it knows the solvers after the last one alone.
+        """
+        most = UNDER_WAY if all(character.motion.is_quick for character in self._characters) else 1
+        if self.recovery.is_due:
+            yield from self._collect_until(0, patience)
+        elif len(self._under_way) >= most:
+            yield from self._collect_until(most // 2, patience)
+
+    def _collect_until(self, left: int, patience: float | None) -> Iterator[Progress]:
+        """Collect the oldest frames under way, until so many are left."""
+        while len(self._under_way) > left:
+            if patience is not None:
+                for character in self._characters:
+                    while not character.motion.wait(patience):
+                        yield self._under_way[-1]
+            done = self._under_way.popleft().done
+            self._collect(done - 1)
+            if not self._under_way:
+                self.recovery.save(done)
 
     def _searches(self) -> Iterator[Progress]:
         """Turn the displacements of what bones alone do not move into offsets, frame by frame."""
@@ -484,29 +508,29 @@ class Bake:
         character.largest_residual = max(character.largest_residual, float(residuals.max()))
         character.evaluations += found.evaluations
 
-    def _begin(self, frame: int, poses: list[Pose], following: list[Pose] | None) -> None:
-        """Start a frame of all objects; the core works on it while Blender evaluates the next one here."""
-        for index, character in enumerate(self._characters):
+    def _begin(self, index: int, poses: list[Pose], following: list[Pose] | None) -> None:
+        """Start a frame of all objects; the core works on it while Blender evaluates the next ones here."""
+        frame = self._schedule[index][0]
+        for place, character in enumerate(self._characters):
             with _told_apart(f"Object '{character.name}', frame {frame}"):
-                character.motion.begin(poses[index], None if following is None else following[index])
+                after = None if following is None else following[place]
+                character.motion.begin(poses[place], after, self._row(character, index))
+
+    def _row(self, character: BakedCharacter, index: int) -> NDArray[np.float32] | None:
+        """Where a frame's result goes; None where `_collect` takes it."""
+        frame, keyed = self._schedule[index]
+        return character.offsets[frame - self.start] if keyed else character.unkeyed
 
     def _collect(self, index: int) -> None:
         frame, keyed = self._schedule[index]
         for character in self._characters:
             with _told_apart(f"Object '{character.name}', frame {frame}"):
                 result = character.motion.finish()
-                offsets = character.offsets[frame - self.start] if keyed else character.unkeyed
-                with np.errstate(over="ignore"):  # told below
-                    found = result.displacements if result.offsets is None else result.offsets
-                    np.copyto(offsets, found, casting="same_kind")
-                if not np.isfinite(offsets).all():
-                    raise ValueError("the motion is no longer finite")
             if not result.converged and character.motion.settings.simulation.quality != "preview":
                 character.unconverged.add(frame)
             if keyed:
                 character.largest_displacement = max(character.largest_displacement, result.largest_displacement)
                 character.largest_residual = max(character.largest_residual, result.largest_residual)
-        self.recovery.save(index + 1)
 
     def _read(self, frame: int) -> list[Pose]:
         self._scene_in(frame)

@@ -94,8 +94,13 @@ class Recovery:
         self.poses = PoseDigest()
         return False
 
+    @property
+    def is_due(self) -> bool:
+        """Whether what has been done since the last time is worth writing."""
+        return self._cache is not None and time.monotonic() - self._last_save >= SAVE_INTERVAL
+
     def save(self, done: int, always: bool = False) -> None:
-        """Write what has been done since the last time, where that is worth it.
+        """Write what has been done since the last time, where that is worth it. No frame may be under way: solvers would be ahead.
 
         Parameters
         ----------
@@ -104,7 +109,7 @@ class Recovery:
         always
             Whether it is worth it in any case.
         """
-        if self._cache is None or not (always or time.monotonic() - self._last_save >= SAVE_INTERVAL):
+        if self._cache is None or not (always or self.is_due):
             return
         if done < len(self._scheduled):
             frame = self._scheduled[done]

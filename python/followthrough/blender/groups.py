@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import bpy
@@ -14,6 +14,7 @@ from followthrough.blender.modes import object_mode
 from followthrough.blender.rig_reading import read_surface, with_skeleton
 from followthrough.blender.vertex_weights import VertexWeights, read_weights
 from followthrough.character import FloatArray, Paint, Surface
+from followthrough.mesh import TetMesh
 from followthrough.suggestions import suggest_paint
 
 STIFFNESS_GROUP = "Followthrough Stiffness"
@@ -91,9 +92,9 @@ def remove_groups(obj: bpy.types.Object, names: Iterable[str], active: str = "")
             obj.vertex_groups.active_index = max(obj.vertex_groups.find(active), 0)
 
 
-def suggested_paint(obj: bpy.types.Object, surface: Surface) -> Paint:
+def suggested_paint(obj: bpy.types.Object, surface: Surface, tets: Callable[[], TetMesh] | None = None) -> Paint:
     """`suggest_paint` with the bones of the mesh's armature, also where something else helps to move it."""
-    return suggest_paint(surface if surface.rig is not None else with_skeleton(obj, surface))
+    return suggest_paint(surface if surface.rig is not None else with_skeleton(obj, surface), tets)
 
 
 def read_paint(
@@ -101,6 +102,7 @@ def read_paint(
     surface: Surface,
     groups: PaintGroups | None = None,
     weights: VertexWeights | None = None,
+    tets: Callable[[], TetMesh] | None = None,
 ) -> Paint:
     """Read what is painted, and the springs that were learned.
 
@@ -114,6 +116,8 @@ def read_paint(
         Which groups; the usual ones where it is None.
     weights
         What `read_weights` gave for the object, where the caller has that already.
+    tets
+        As for `suggest_paint`.
 
     Raises
     ------
@@ -132,7 +136,7 @@ def read_paint(
         nothing = np.zeros(len(surface.rest_positions))
         paint = Paint(nothing, nothing, nothing)  # all of it painted
     else:
-        paint = suggested_paint(obj, surface)
+        paint = suggested_paint(obj, surface, tets)
     if stiffness is not None:
         paint = replace(paint, stiffness=painted[stiffness])
     if mass is not None:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import bpy
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from followthrough import mesh
 from followthrough.blender import modes
 from followthrough.blender.bake import Bake, FrameRange, ObjectSettings, Progress, _told_apart
-from followthrough.blender.groups import PaintGroups
 from followthrough.blender.learned_springs import write_learned
 from followthrough.blender.scene import NotBakeableError
 from followthrough.blender.vertex_weights import VertexWeights
@@ -173,9 +172,14 @@ class Learning(Bake):
         self._searched = list(self._characters)  # what follows the simulation is the fit, for all of them
 
     def _read_paint(
-        self, obj: bpy.types.Object, surface: Surface, groups: PaintGroups, weights: VertexWeights
+        self,
+        obj: bpy.types.Object,
+        surface: Surface,
+        settings: ObjectSettings,
+        weights: VertexWeights,
+        tets: Callable[[], mesh.TetMesh],
     ) -> Paint:
-        paint = super()._read_paint(obj, surface, groups, weights)
+        paint = super()._read_paint(obj, surface, settings, weights, tets)
         self._recordings[obj.name].painted = painted_stiffness(paint.stiffness, paint.mass, self._settings[obj.name])
         return paint
 
@@ -185,12 +189,17 @@ class Learning(Bake):
             self._recordings[character.name].reference.append(_surface(character.motion.volume, pose))
         return poses
 
+    def _row(self, *_arguments: object) -> None:
+        """Nowhere: recordings take what comes."""
+        return None
+
     def _collect(self, index: int) -> None:
         frame, _ = self._schedule[index]
         for character in self._characters:
             recording = self._recordings[character.name]
             with _told_apart(f"Object '{character.name}', frame {frame}"):
                 result = character.motion.finish()
+                assert result.displacements is not None
                 if not np.isfinite(result.displacements).all():
                     raise ValueError("the motion is no longer finite")
             if not result.converged and character.motion.settings.simulation.quality != "preview":

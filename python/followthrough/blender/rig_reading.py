@@ -85,7 +85,7 @@ def with_skeleton(obj: bpy.types.Object, surface: Surface, weights: VertexWeight
         return surface
     modifier = _armature_modifier(obj)
     painted = weights or read_weights(obj)
-    used = set(np.unique(painted.groups).tolist())
+    used = set(np.flatnonzero(np.bincount(painted.groups)).tolist())
     group_of_bone = {group.name: group.index for group in obj.vertex_groups if group.index in used}
     bones = [bone.name for bone in armature.data.bones if bone.use_deform and bone.name in group_of_bone]
     bone_indices, bone_weights = painted.table({group_of_bone[name]: index for index, name in enumerate(bones)})

@@ -9,6 +9,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from followthrough import _core
+
 #: Seconds after which the thread gets its turn while Python runs beside it; Python's own 5 ms would add up.
 SWITCH_INTERVAL = 5e-4
 
@@ -16,12 +18,13 @@ SWITCH_INTERVAL = 5e-4
 @contextmanager
 def work_beside_blender() -> Iterator[concurrent.futures.Executor]:
     """One thread, for work that touches nothing of Blender's. It has ended when the `with` block has; what has not begun then never will.
+    What the core does on it in parallel leaves a processor to Blender.
 
     Blender lets other threads run while it changes the frame or runs an operator. If Python collected cyclic garbage on one of them, it
     would free its ends of data that Blender is at work on, which crashes Blender sooner or later; so none is collected in the block.
     """
     interval, collects = sys.getswitchinterval(), gc.isenabled()
-    thread = concurrent.futures.ThreadPoolExecutor(max_workers=1)
+    thread = concurrent.futures.ThreadPoolExecutor(max_workers=1, initializer=_leave_a_processor)
     gc.disable()
     sys.setswitchinterval(SWITCH_INTERVAL)
     try:
@@ -31,3 +34,8 @@ def work_beside_blender() -> Iterator[concurrent.futures.Executor]:
         sys.setswitchinterval(interval)
         if collects:
             gc.enable()
+
+
+def _leave_a_processor() -> None:
+    """To Blender: where it has one processor too few, the core's threads spin while they wait for each other."""
+    _core.set_threads(max(1, _core.threads() - 1))

@@ -201,7 +201,7 @@ def weights(tmp_path: Path) -> Path:
     return path
 
 
-def paint_by_depth(surface: Surface) -> Paint:
+def paint_by_depth(surface: Surface, *_tets: object) -> Paint:
     """Skin near a bone is pinned, and softer the farther it is from one."""
     thickness = flesh_thickness(surface)
     if surface.rig is None or thickness <= 0:

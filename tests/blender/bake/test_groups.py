@@ -11,13 +11,17 @@ from followthrough.blender import (
     MASS_GROUP,
     PINS_GROUP,
     STIFFNESS_GROUP,
+    Bake,
+    ObjectSettings,
     PaintGroups,
     PinGroup,
     add_groups,
+    groups,
     read_paint,
     read_surface,
     write_group,
 )
+from followthrough.settings import Settings, VolumeSettings
 from followthrough.suggestions import suggest_paint
 
 
@@ -85,3 +89,22 @@ def test_groups_can_be_added_from_edit_mode(character):
     assert character.mesh.mode == "EDIT"
     bpy.ops.object.mode_set(mode="OBJECT")
     assert read_paint(character.mesh, read_surface(character.mesh)).mass == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("cells", [VolumeSettings().cells, 9])
+def test_suggestions_for_a_bake_take_its_tets_where_those_are_the_usual_ones(character, monkeypatch, cells):
+    suggested = suggest_paint(read_surface(character.mesh))
+    found = []
+
+    def suggest(surface, tets):
+        found.append((suggest_paint(surface, tets), tets))
+        return found[-1][0]
+
+    monkeypatch.setattr(groups, "suggest_paint", suggest)
+    settings = Settings(solver="springs", volume=VolumeSettings(cells=cells))
+    bake = Bake(bpy.context.scene, {character.mesh_name: ObjectSettings(motion=settings)})
+    bake.cancel()
+    ((paint, tets),) = found
+    assert (tets is not None) == (cells != 9)
+    for name in ("stiffness", "mass", "pins"):
+        np.testing.assert_array_equal(getattr(paint, name), getattr(suggested, name))

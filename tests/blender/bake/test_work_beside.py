@@ -10,6 +10,7 @@ import time
 
 import pytest
 
+from followthrough import _core
 from followthrough.blender.work_beside import work_beside_blender
 
 
@@ -51,6 +52,17 @@ def test_everything_is_as_before_after_an_error_too(collects):
     finally:
         gc.enable()
     assert sys.getswitchinterval() == pytest.approx(interval)
+
+
+def test_the_core_leaves_a_processor_to_blender():
+    usual: list[int] = []
+    other = threading.Thread(target=lambda: usual.append(_core.threads()))
+    other.start()
+    other.join()
+    here = _core.threads()
+    with work_beside_blender() as thread:
+        assert thread.submit(_core.threads).result() == max(1, usual[0] - 1)
+    assert _core.threads() == here
 
 
 def test_what_has_begun_ends_with_the_block_and_the_rest_never_begins():

@@ -30,7 +30,7 @@ TOLERANCE = 1e-4
 
 
 def spring_displacements(surface, paint, poses, dt: float) -> list[np.ndarray]:
-    motion = SecondaryMotion(surface, paint, Settings(), dt)
+    motion = SecondaryMotion(surface, paint, Settings(solver="springs"), dt)
     results = [motion.reset(poses[0])]
     for index in range(1, len(poses)):
         results.append(motion.step(poses[index], poses[index + 1] if index + 1 < len(poses) else None))

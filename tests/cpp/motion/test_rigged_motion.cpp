@@ -235,18 +235,160 @@ TEST_CASE("bad poses and calls out of order are refused, also from the other thr
   Springs solver = box.springs();
   RiggedMotion motion(box.character, solver);
   CHECK_THROWS_AS(motion.finish(), InvalidInput);
+  motion.abandon();
   motion.reset(pose_at(0));
   RigPose bad = pose_at(1);
   bad.bone_matrices(1, 3) = std::nan("");
   CHECK_THROWS_AS(motion.step(bad), InvalidInput);
   motion.begin(bad, nullptr);
-  CHECK_THROWS_AS(motion.begin(pose_at(1), nullptr), InvalidInput);
+  CHECK_THROWS_AS(motion.step(pose_at(1)), InvalidInput);  // as one is under way
+  CHECK_THROWS_AS(motion.reset(pose_at(0)), InvalidInput);
   CHECK_THROWS_AS(motion.finish(), InvalidInput);
   RigPose flat = pose_at(1);
   flat.world.setZero();
   CHECK_THROWS_AS(motion.step(flat), InvalidInput);
   CHECK(motion.step(pose_at(1)).offsets.allFinite());
-  motion.begin(pose_at(2), nullptr);  // and destroyed with a frame under way
+  for (int frame = 2; frame < 40; ++frame) motion.begin(pose_at(frame), nullptr);  // and destroyed with frames under way
+}
+
+namespace {
+
+using Rounded = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
+
+/// What `step` gives in the frames 1 to count.
+std::vector<MotionFrame> one_by_one(const Box& box, int count) {
+  Springs solver = box.springs();
+  RiggedMotion motion(box.character, solver);
+  motion.reset(pose_at(0));
+  std::vector<MotionFrame> frames;
+  for (int frame = 1; frame <= count; ++frame) {
+    const RigPose next = pose_at(frame + 1);
+    frames.push_back(motion.step(pose_at(frame), frame < count ? &next : nullptr));
+  }
+  return frames;
+}
+
+}  // namespace
+
+TEST_CASE("many frames under way are the same frames, rounded, whoever has a hand in them") {
+  constexpr int count = 40;
+  for (const Skinning skinning : {Skinning::linear, Skinning::dual_quaternion}) {
+    Box box;
+    box.take_skin_of(3'001);
+    box.character.skinning = skinning;
+    const std::vector<MotionFrame> expected = one_by_one(box, count);
+    for (const int pause : {0, 5}) {  // milliseconds before the first one is finished: without, the caller works, too
+      Springs solver = box.springs();
+      RiggedMotion motion(box.character, solver);
+      motion.reset(pose_at(0));
+      std::vector<Rounded> offsets(count, Rounded::Constant(box.vertices.rows(), 3, -1.0F));
+      for (int frame = 1; frame <= count; ++frame) {
+        auto next = frame < count ? std::make_unique<RigPose>(pose_at(frame + 1)) : nullptr;
+        motion.begin(pose_at(frame), std::move(next), offsets[static_cast<std::size_t>(frame - 1)].data());
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(pause));
+      for (std::size_t i = 0; i < count; ++i) {
+        while (!motion.wait(0.001)) {
+        }
+        const MotionFrame found = motion.finish();
+        CHECK(offsets[i] == expected[i].offsets.cast<float>());
+        CHECK(found.offsets.rows() == 0);
+        CHECK(found.displacements.rows() == 0);
+        CHECK(found.largest_displacement == expected[i].largest_displacement);
+        CHECK(found.largest_residual == expected[i].largest_residual);
+      }
+      CHECK(expected[count - 1].offsets.cwiseAbs().maxCoeff() > 1e-3);
+      CHECK_THROWS_AS(motion.finish(), InvalidInput);
+    }
+  }
+}
+
+TEST_CASE("skin that has to be clamped is rounded, too") {
+  Box box;
+  box.take_skin_of(501);
+  Rounded offsets(501, 3);
+  Positions expected;
+  RigPose squashed = pose_at(2);
+  squashed.bone_matrices.row(1).segment<4>(8) *= 1e-3;
+  for (const bool rounded : {false, true}) {
+    Springs solver = box.springs();
+    RiggedMotion motion(box.character, solver);
+    motion.reset(pose_at(0));
+    motion.step(pose_at(1));
+    motion.begin(squashed, nullptr, rounded ? offsets.data() : nullptr);
+    const MotionFrame frame = motion.finish();
+    CHECK(frame.largest_residual > 1e-6);
+    if (!rounded) expected = frame.offsets;
+  }
+  CHECK(offsets == expected.cast<float>());
+}
+
+TEST_CASE("a frame that fails takes those with it that were begun later, and none before") {
+  Box box;
+  const std::vector<MotionFrame> expected = one_by_one(box, 12);
+  for (const int broken : {1, 6, 12}) {
+    Springs solver = box.springs();
+    RiggedMotion motion(box.character, solver);
+    motion.reset(pose_at(0));
+    for (int frame = 1; frame <= 12; ++frame) {
+      RigPose pose = pose_at(frame);
+      if (frame == broken) pose.bone_matrices(1, 3) = std::nan("");
+      auto next = frame < 12 && frame + 1 != broken ? std::make_unique<RigPose>(pose_at(frame + 1)) : nullptr;
+      motion.begin(pose, std::move(next));
+    }
+    for (int frame = 1; frame < broken - 1; ++frame) {  // the one before does not know what follows
+      CHECK(motion.finish().offsets == expected[static_cast<std::size_t>(frame - 1)].offsets);
+    }
+    if (broken > 1) motion.finish();
+    CHECK_THROWS_AS(motion.finish(), InvalidInput);
+    CHECK(motion.wait(0.0));
+    CHECK_THROWS_WITH_AS(motion.finish(), doctest::Contains("no frame under way"), InvalidInput);
+    motion.reset(pose_at(0));
+    const RigPose next = pose_at(2);
+    CHECK(motion.step(pose_at(1), &next).offsets == expected[0].offsets);
+  }
+}
+
+TEST_CASE("an offset that single precision does not hold is an error") {
+  Box box;
+  Springs solver = box.springs();
+  RiggedMotion motion(box.character, solver);
+  Rounded offsets(8, 3);
+  RigPose far = pose_at(1);
+  far.bone_matrices(1, 11) = 1e100;
+  motion.reset(pose_at(0));
+  motion.step(far);
+  const MotionFrame found = motion.step(pose_at(2));
+  CHECK(found.offsets.allFinite());
+  CHECK(found.offsets.cwiseAbs().maxCoeff() > 1e90);
+  motion.reset(pose_at(0));
+  motion.step(far);
+  motion.begin(pose_at(2), nullptr, offsets.data());
+  CHECK_THROWS_WITH_AS(motion.finish(), doctest::Contains("no longer finite"), InvalidInput);
+}
+
+TEST_CASE("frames that are abandoned end, and the motion starts over") {
+  const Box box;
+  const std::vector<MotionFrame> expected = one_by_one(box, 2);
+  SlowSolver slow(box.volume.vertices.rows());
+  RiggedMotion waiting(box.character, slow, 1);
+  waiting.reset(pose_at(0));
+  for (int frame = 1; frame < 100; ++frame) waiting.begin(pose_at(frame), nullptr);  // six seconds' worth
+  const auto began = std::chrono::steady_clock::now();
+  waiting.abandon();
+  CHECK(std::chrono::steady_clock::now() - began < std::chrono::seconds(3));
+  CHECK(waiting.wait(0.0));
+  CHECK_THROWS_AS(waiting.finish(), InvalidInput);
+
+  Springs solver = box.springs();
+  RiggedMotion motion(box.character, solver);
+  motion.reset(pose_at(0));
+  for (int frame = 5; frame < 30; ++frame) motion.begin(pose_at(frame), nullptr);
+  motion.abandon();
+  motion.reset(pose_at(0));
+  const RigPose next = pose_at(2);
+  motion.begin(pose_at(1), std::make_unique<RigPose>(next));
+  CHECK(motion.finish().offsets == expected[0].offsets);
 }
 
 TEST_CASE("a rig that flattens the skin leaves a bounded offset and says what is missing") {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
 /// A rigged character's way through one frame, from the bones' pose to the offsets of its rest shape: reference, solver, embedding
-/// and inverse skinning in one pass, on the caller's thread or on one of its own while the caller prepares the next pose.
+/// and inverse skinning in one pass, on the caller's thread or on one of its own while the caller prepares the next poses.
 #pragma once
 
 #include <memory>
@@ -54,7 +54,7 @@ class RiggedMotion {
   RiggedMotion& operator=(const RiggedMotion&) = delete;
 
   /// @brief Starts over in a pose, without secondary motion.
-  /// @throws InvalidInput on a pose that does not fit or is not finite
+  /// @throws InvalidInput on a pose that does not fit or is not finite, or where a frame is under way
   void reset(const RigPose& pose);
 
   /// @brief Takes one frame.
@@ -62,24 +62,38 @@ class RiggedMotion {
   /// @throws InvalidInput as `reset`, and where results are no longer finite
   MotionFrame step(const RigPose& pose, const RigPose* next = nullptr);
 
-  /// @brief Starts the same step on a thread of its own, one at a time; `finish` waits for it.
-  /// @throws InvalidInput where one is under way already
-  void begin(const RigPose& pose, std::unique_ptr<RigPose> next);
+  /// @brief Starts the same step on a thread of its own, after those that are under way there; `finish` waits for the oldest one.
+  ///
+  /// While any is under way, the solver is not the caller's to use.
+  /// @param offsets (v,3), row by row, takes the offsets rounded to single precision in place of the frame's arrays, which are then
+  ///   empty; it must outlive the frame. Null: nothing is rounded
+  void begin(const RigPose& pose, std::unique_ptr<RigPose> next, float* offsets = nullptr);
 
-  /// @brief Waits for the frame under way, so long at most.
+  /// @brief Waits for the oldest frame under way, so long at most, and works on what there is meanwhile.
   /// @param seconds 0 or more
   /// @return whether `finish` would no longer wait
   bool wait(double seconds);
 
+  /// @brief Waits for the oldest frame under way, and works on what there is meanwhile.
   /// @return what `step` returns, bit for bit
-  /// @throws what `step` throws, and InvalidInput where none was begun
+  /// @throws what `step` throws, and InvalidInput where none was begun or an offset is more than single precision holds. Those that
+  ///   were begun later are then dropped
   MotionFrame finish();
+
+  /// @brief Drops all frames under way, as soon as what has been started of them ends.
+  void abandon();
 
   /// @return (n,3) where the rig alone puts the volume's vertices, in the world, m
   Positions reference(const RigPose& pose) const;
 
  private:
   class Worker;
+
+  void require_idle() const;
+  /// The solver's half of a frame: (n,4) displacements of the volume's vertices, in the world, m; the fourth number is 0.
+  Weights4 solve(const RigPose& pose, const RigPose* next);
+  /// The surface's half; `rounded` as in `begin`. Safe on several threads at once.
+  MotionFrame show(const RigPose& pose, const Weights4& moved, float* rounded) const;
 
   RiggedCharacter character_;
   Tets corners_;  // (v,4) of the tets that carry the surface's vertices
