@@ -8,6 +8,7 @@ from followthrough.blender import FrameRange, Learning, LearningReport, why_not_
 
 from ..bake.operator import StepwiseOperator
 from ..bake.session import BakeSession
+from . import heat_map
 
 
 class FOLLOWTHROUGH_OT_learn(StepwiseOperator, Operator):
@@ -33,6 +34,7 @@ class FOLLOWTHROUGH_OT_learn(StepwiseOperator, Operator):
 
     def _report(self, report: LearningReport, notes: tuple[str, ...]) -> None:
         for learned in report.objects:
+            heat_map.refresh(bpy.data.objects[learned.name])
             left = learned.rmse / learned.reference_rmse if learned.reference_rmse else 0.0
             self.report(
                 {"INFO"},
