@@ -5,6 +5,7 @@ import bpy
 from bpy.types import Operator
 
 from followthrough.blender import FrameRange, Learning, LearningReport, why_not_bakeable
+from followthrough.blender.learning import LEAST_FRAMES
 
 from ..bake.operator import StepwiseOperator
 from ..bake.session import BakeSession
@@ -29,8 +30,14 @@ class FOLLOWTHROUGH_OT_learn(StepwiseOperator, Operator):
 
     def _begin(self, context: bpy.types.Context) -> BakeSession:
         characters, settings = self._chosen(context)
-        frames = FrameRange(characters[0].followthrough.learn_start, characters[0].followthrough.learn_end)
-        return BakeSession(context.scene, settings, frames, Learning, "Learning, step", "Keeping springs")
+        first, last = characters[0].followthrough.learn_start, characters[0].followthrough.learn_end
+        if (count := last - first + 1) < LEAST_FRAMES:
+            raise ValueError(
+                f"{count} {'frame is' if count == 1 else 'frames are'} too few: take {LEAST_FRAMES} or more to learn from, First to Last"
+            )
+        return BakeSession(
+            context.scene, settings, FrameRange(first, last), Learning, "Learning, step", "Keeping springs"
+        )
 
     def _report(self, report: LearningReport, notes: tuple[str, ...]) -> None:
         for learned in report.objects:
@@ -46,6 +53,8 @@ class FOLLOWTHROUGH_OT_learn(StepwiseOperator, Operator):
                     {"WARNING"},
                     f"{learned.name}: {learned.unconverged} simulated frames have not converged, and were learned from all the same",
                 )
+            if learned.learned and bpy.data.objects[learned.name].followthrough.solver != "springs":
+                self.report({"INFO"}, f"{learned.name}: choose Springs under Motion to bake with what was learned")
             if not learned.learned:
                 self.report(
                     {"WARNING"}, f"{learned.name}: nothing swings freely enough to learn from; look at its pins"

@@ -58,7 +58,7 @@ def test_learn_keeps_springs_that_the_bake_uses(painted: bpy.types.Object) -> No
 def test_the_range_is_the_artists(painted: bpy.types.Object) -> None:
     assert (painted.followthrough.learn_start, painted.followthrough.learn_end) == (1, 12)
     painted.followthrough.learn_end = 4
-    with pytest.raises(RuntimeError, match="10 or more to learn from"):
+    with pytest.raises(RuntimeError, match="4 frames are too few: take 10 or more to learn from, First to Last"):
         bpy.ops.followthrough.learn()
     painted.followthrough.learn_end = -3
     assert painted.followthrough.learn_start == -3
