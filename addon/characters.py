@@ -37,6 +37,16 @@ def why_not_editable(obj: bpy.types.Object) -> str | None:
     return None
 
 
+def why_not_settable(obj: bpy.types.Object) -> str | None:
+    """Reason why nothing can be set on this object; None where it can."""
+    if obj.library is None:
+        return None
+    return (
+        f"'{obj.name}' is linked from {obj.library.filepath}, and what is changed on it would be lost: make it local "
+        "(Object > Relations > Make Local), or override it (Object > Library Override)"
+    )
+
+
 def missing_groups(obj: bpy.types.Object) -> list[str]:
     """Groups of stiffness and mass that a character does not have any more, for which suggested values are baked."""
     names = (STIFFNESS_GROUP, MASS_GROUP) if obj.data.library is None else ()

@@ -7,7 +7,7 @@ from bpy.types import Operator
 from followthrough.blender import clear, remove_groups, remove_learned
 
 from ..bake.session import idle
-from ..characters import selected_characters
+from ..characters import selected_characters, why_not_settable
 from ..learning import heat_map
 from ..preview import live
 
@@ -28,6 +28,9 @@ class FOLLOWTHROUGH_OT_remove(Operator):
         if not selected_characters(context):
             cls.poll_message_set("The active object has no Followthrough")
             return False
+        for reason in filter(None, map(why_not_settable, selected_characters(context))):
+            cls.poll_message_set(reason)
+            return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -47,7 +50,11 @@ def remove(context: bpy.types.Context, name: str) -> list[str]:
     others = [
         other.name
         for other in bpy.data.objects
-        if other != obj and other.type == "MESH" and other.data == obj.data and other.followthrough.is_added
+        if other != obj
+        and other.library is None
+        and other.type == "MESH"
+        and other.data == obj.data
+        and other.followthrough.is_added
     ]
     if others:
         obj.property_unset("followthrough")
