@@ -174,11 +174,9 @@ class FOLLOWTHROUGH_OT_bake(StepwiseOperator, Operator):
     def _report(self, report: BakeReport, notes: tuple[str, ...]) -> None:
         frames = report.end - report.start + 1
         names = ", ".join(baked.name for baked in report.objects)
-        self.report(
-            {"INFO"}, f"Baked {frames} {'frame' if frames == 1 else 'frames'} of {names} in {report.seconds:.1f} s"
-        )
-        for note in notes:
-            self.report({"INFO"}, note)
+        count = f"{frames} {'frame' if frames == 1 else 'frames'}"
+        # In one message, as a window shows the last one alone.
+        self.report({"INFO"}, ". ".join([f"Baked {count} of {names} in {report.seconds:.1f} s", *notes]))
         for baked in report.objects:
             for warning in baked.warnings:
                 self.report({"WARNING"}, warning)

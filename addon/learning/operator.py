@@ -53,8 +53,6 @@ class FOLLOWTHROUGH_OT_learn(StepwiseOperator, Operator):
                     {"WARNING"},
                     f"{learned.name}: {learned.unconverged} simulated frames have not converged, and were learned from all the same",
                 )
-            if learned.learned and bpy.data.objects[learned.name].followthrough.solver != "springs":
-                self.report({"INFO"}, f"{learned.name}: choose Springs under Motion to bake with what was learned")
             if not learned.learned:
                 self.report(
                     {"WARNING"}, f"{learned.name}: nothing swings freely enough to learn from; look at its pins"

@@ -37,10 +37,12 @@ class FOLLOWTHROUGH_OT_remove(Operator):
         live.end()
         names = [obj.name for obj in selected_characters(context)]
         shared = {name: remove(context, name) for name in names}
-        kept = {name: others for name, others in shared.items() if others}
-        self.report({"INFO"}, f"Removed Followthrough from {', '.join(names)}")
-        for name, others in kept.items():
-            self.report({"INFO"}, f"{name} shares its mesh with {', '.join(others)}: bake and paint stay on it")
+        kept = [
+            f"{name} shares its mesh with {', '.join(others)}: bake and paint stay on it"
+            for name, others in shared.items()
+            if others
+        ]
+        self.report({"INFO"}, ". ".join([f"Removed Followthrough from {', '.join(names)}", *kept]))
         return {"FINISHED"}
 
 
