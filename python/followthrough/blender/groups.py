@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import bpy
@@ -52,7 +52,7 @@ class PaintGroups:
 
 
 def add_groups(
-    obj: bpy.types.Object, surface: Surface | None = None, names: Collection[str] = USUAL_GROUPS
+    obj: bpy.types.Object, surface: Surface | None = None, names: tuple[str, ...] = USUAL_GROUPS
 ) -> list[str]:
     """Create those of the usual groups that the mesh does not have yet, filled with suggested values.
 
