@@ -26,15 +26,20 @@ def register() -> None:
         for cls in reversed(registered):
             bpy.utils.unregister_class(cls)
         raise
-    bpy.types.Object.followthrough = bpy.props.PointerProperty(type=properties.FollowthroughSettings)
+    bpy.types.Object.followthrough = bpy.props.PointerProperty(
+        type=properties.FollowthroughSettings, override=properties.OVERRIDABLE
+    )
+    properties.overrides.register_handlers()
     preview.register_handlers()
+    learning.register_handlers()
 
 
 def unregister() -> None:
     """Take all of it back. What objects had set stays in the file as it is, and is there again when the add-on is."""
     preview.unregister_handlers()
+    properties.overrides.unregister_handlers()
     bake.stop()
-    learning.stop_drawing()
+    learning.unregister_handlers()
     del bpy.types.Object.followthrough
     for cls in reversed(_classes):
         bpy.utils.unregister_class(cls)

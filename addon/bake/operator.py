@@ -10,7 +10,7 @@ from bpy.types import Operator
 
 from followthrough.blender import BakeReport, ObjectSettings, why_not_bakeable
 
-from ..characters import selected_characters
+from ..characters import require_pinned, selected_characters
 from ..preview import live
 from ..properties.bake_settings import frame_range, object_settings
 from ..redraw import redraw_sidebars
@@ -143,6 +143,8 @@ class StepwiseOperator:
         characters = selected_characters(context)
         if not characters:
             raise ValueError(_NONE_SELECTED)
+        for obj in characters:
+            require_pinned(obj)
         return characters, {obj.name: object_settings(obj) for obj in characters}
 
     def _begin(self, context: bpy.types.Context) -> BakeSession:
@@ -172,9 +174,9 @@ class FOLLOWTHROUGH_OT_bake(StepwiseOperator, Operator):
     def _report(self, report: BakeReport, notes: tuple[str, ...]) -> None:
         frames = report.end - report.start + 1
         names = ", ".join(baked.name for baked in report.objects)
-        self.report({"INFO"}, f"Baked {frames} frames of {names} in {report.seconds:.1f} s")
-        for note in notes:
-            self.report({"INFO"}, note)
+        count = f"{frames} {'frame' if frames == 1 else 'frames'}"
+        # In one message, as a window shows the last one alone.
+        self.report({"INFO"}, ". ".join([f"Baked {count} of {names} in {report.seconds:.1f} s", *notes]))
         for baked in report.objects:
             for warning in baked.warnings:
                 self.report({"WARNING"}, warning)

@@ -91,6 +91,7 @@ class BakeSession:
         self._words = (doing, finishing)
         self._steps = self._bake.run(patience=PATIENCE)
         self._simulating_since = time.monotonic()
+        self._done_before: int | None = None
         self.object_names = tuple(objects)
         self.done = 0
         self.is_simulated = False
@@ -118,6 +119,7 @@ class BakeSession:
         try:
             for progress in self._steps:
                 self.done = progress.done
+                self._count_from_where_it_goes_on()
                 if time.monotonic() >= until:
                     self._bake.show()
                     return False
@@ -160,6 +162,11 @@ class BakeSession:
         self._forget()
         self._bake.cancel()
 
+    def _count_from_where_it_goes_on(self) -> None:
+        """Frames that an earlier bake has simulated say nothing about how long the others will take."""
+        if self._done_before is None and self._bake.recovery.resumed_from is not None:
+            self._done_before, self._simulating_since = self.done, time.monotonic()
+
     def _forget(self) -> None:
         global _running
         if _running is self:
@@ -167,9 +174,10 @@ class BakeSession:
 
     def seconds_left(self) -> float | None:
         """How long the rest will take if it goes on like this; None while that cannot be said."""
-        if not self.done:
+        done = self.done - (self._done_before or 0)
+        if not done:
             return None
-        return (time.monotonic() - self._simulating_since) / self.done * (self.total - self.done)
+        return (time.monotonic() - self._simulating_since) / done * (self.total - self.done)
 
     def status(self) -> str:
         """How far it is, for the panel."""

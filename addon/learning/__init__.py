@@ -2,8 +2,8 @@
 """Springs that learn from the simulation, and the heat map that shows what they have learned."""
 
 from .forget import FOLLOWTHROUGH_OT_forget_learned
+from .handlers import register_handlers, unregister_handlers
 from .heat_map import FOLLOWTHROUGH_OT_hide_heat_map, FOLLOWTHROUGH_OT_show_heat_map
-from .legend import stop_drawing
 from .operator import FOLLOWTHROUGH_OT_learn
 
 classes: tuple[type, ...] = (
@@ -13,4 +13,4 @@ classes: tuple[type, ...] = (
     FOLLOWTHROUGH_OT_hide_heat_map,
 )
 
-__all__ = ["classes", "stop_drawing"]
+__all__ = ["classes", "register_handlers", "unregister_handlers"]

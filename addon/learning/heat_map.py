@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The heat map: what springs have learned, as a colour attribute in the viewport with a legend beside it."""
 
+from dataclasses import dataclass
+
 import bpy
 import numpy as np
 from bpy.props import EnumProperty
@@ -12,18 +14,25 @@ from followthrough.spring_heat_map import HeatMap, Quantity, heat_map
 
 from ..bake.session import idle
 from ..characters import active_character, why_not_editable
-from . import legend
+from . import viewports
 
 ATTRIBUTE = "Followthrough Heat Map"
-#: Property of the mesh: what its heat map shows.
-_SHOWN = "followthrough_heat_map"
-#: Property of the screen: what the viewports coloured before.
-_BEFORE = "followthrough_color_type"
+#: Properties of the mesh: what its heat map shows, the ends of the scale, and which colours were the active ones before.
+_SHOWN, _SCALE, _BEFORE = "followthrough_heat_map", "followthrough_heat_map_scale", "followthrough_heat_map_before"
 _ITEMS = (
     ("stiffness", "Stiffness", "How stiff springs are: log ks"),
     ("damping", "Damping", "How strongly they are damped: log kd"),
     ("regime", "Regime", "Whether they swing (blue) or creep (red): kd² - 4 ks"),
 )
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What the colours of a heat map stand for, and the ends of their scale."""
+
+    quantity: Quantity
+    low: float
+    high: float
 
 
 def is_shown(obj: bpy.types.Object) -> bool:
@@ -34,6 +43,12 @@ def is_shown(obj: bpy.types.Object) -> bool:
 def shown_quantity(obj: bpy.types.Object) -> str:
     """What it shows, or an empty string."""
     return str(obj.data.get(_SHOWN, "")) if is_shown(obj) else ""
+
+
+def shown_scale(obj: bpy.types.Object) -> Scale | None:
+    """Its scale; None where there is no heat map. It is kept on the mesh, so that it comes and goes with the colours."""
+    quantity, ends = shown_quantity(obj), obj.data.get(_SCALE)
+    return Scale(quantity, *map(float, ends)) if quantity and ends is not None else None
 
 
 def show(obj: bpy.types.Object, quantity: Quantity) -> HeatMap:
@@ -51,46 +66,42 @@ def show(obj: bpy.types.Object, quantity: Quantity) -> HeatMap:
     colours = np.column_stack([shown.colours(), np.ones(len(learned.stiffness))])
     with object_mode(obj.name):
         attributes = obj.data.color_attributes
+        if not is_shown(obj):
+            obj.data[_BEFORE] = attributes.active_color.name if attributes.active_color is not None else ""
         attribute = attributes.get(ATTRIBUTE) or attributes.new(ATTRIBUTE, "BYTE_COLOR", "POINT")
         attribute.data.foreach_set("color_srgb", colours.astype(np.float32).ravel())
         attributes.active_color = attribute
         obj.data.update()
-    obj.data[_SHOWN] = quantity
-    legend.put(obj.name, shown)
+    obj.data[_SHOWN], obj.data[_SCALE] = quantity, [shown.low, shown.high]
     return shown
 
 
+def refresh(obj: bpy.types.Object) -> None:
+    """Where a heat map is shown, let it show what the springs have learned since."""
+    if quantity := shown_quantity(obj):
+        show(obj, quantity)
+
+
 def hide(obj: bpy.types.Object) -> None:
-    """Take the colours off again."""
-    legend.take_off(obj.name)
+    """Take the colours off again; those that were the active ones are it again."""
     with object_mode(obj.name):
-        attribute = obj.data.color_attributes.get(ATTRIBUTE)
-        if attribute is not None:
-            obj.data.color_attributes.remove(attribute)
-    if _SHOWN in obj.data:
-        del obj.data[_SHOWN]
+        attributes = obj.data.color_attributes
+        if is_shown(obj):
+            was_active = attributes.active_color is not None and attributes.active_color.name == ATTRIBUTE
+            attributes.remove(attributes[ATTRIBUTE])
+            before = attributes.get(obj.data.get(_BEFORE, ""))
+            if was_active and before is not None:
+                attributes.active_color = before
+    for name in (_SHOWN, _SCALE, _BEFORE):
+        if name in obj.data:
+            del obj.data[name]
+    if not is_any_shown():
+        viewports.restore()
 
 
-def _colour_viewports(context: bpy.types.Context) -> None:
-    for space in _viewports(context):
-        if space.shading.color_type != "VERTEX":
-            context.screen[_BEFORE] = space.shading.color_type
-            space.shading.color_type = "VERTEX"
-
-
-def _restore_viewports(context: bpy.types.Context) -> None:
-    before = context.screen.get(_BEFORE) if context.screen is not None else None
-    if before is None:
-        return
-    for space in _viewports(context):
-        if space.shading.color_type == "VERTEX":
-            space.shading.color_type = before
-    del context.screen[_BEFORE]
-
-
-def _viewports(context: bpy.types.Context) -> list[bpy.types.SpaceView3D]:
-    areas = context.screen.areas if context.screen is not None else ()
-    return [area.spaces.active for area in areas if area.type == "VIEW_3D"]
+def is_any_shown() -> bool:
+    """Whether some object of the file has a heat map."""
+    return any(is_shown(obj) for obj in bpy.data.objects if obj.type == "MESH")
 
 
 class FOLLOWTHROUGH_OT_show_heat_map(Operator):
@@ -128,7 +139,7 @@ class FOLLOWTHROUGH_OT_show_heat_map(Operator):
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        _colour_viewports(context)
+        viewports.colour(context)
         return {"FINISHED"}
 
 
@@ -150,5 +161,4 @@ class FOLLOWTHROUGH_OT_hide_heat_map(Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         hide(active_character(context))
-        _restore_viewports(context)
         return {"FINISHED"}

@@ -5,9 +5,11 @@ import bpy
 from bpy.types import Operator
 
 from followthrough.blender import FrameRange, Learning, LearningReport, why_not_bakeable
+from followthrough.blender.learning import LEAST_FRAMES
 
 from ..bake.operator import StepwiseOperator
 from ..bake.session import BakeSession
+from . import heat_map
 
 
 class FOLLOWTHROUGH_OT_learn(StepwiseOperator, Operator):
@@ -28,11 +30,18 @@ class FOLLOWTHROUGH_OT_learn(StepwiseOperator, Operator):
 
     def _begin(self, context: bpy.types.Context) -> BakeSession:
         characters, settings = self._chosen(context)
-        frames = FrameRange(characters[0].followthrough.learn_start, characters[0].followthrough.learn_end)
-        return BakeSession(context.scene, settings, frames, Learning, "Learning, step", "Keeping springs")
+        first, last = characters[0].followthrough.learn_start, characters[0].followthrough.learn_end
+        if (count := last - first + 1) < LEAST_FRAMES:
+            raise ValueError(
+                f"{count} {'frame is' if count == 1 else 'frames are'} too few: take {LEAST_FRAMES} or more to learn from, First to Last"
+            )
+        return BakeSession(
+            context.scene, settings, FrameRange(first, last), Learning, "Learning, step", "Keeping springs"
+        )
 
     def _report(self, report: LearningReport, notes: tuple[str, ...]) -> None:
         for learned in report.objects:
+            heat_map.refresh(bpy.data.objects[learned.name])
             left = learned.rmse / learned.reference_rmse if learned.reference_rmse else 0.0
             self.report(
                 {"INFO"},

@@ -8,6 +8,7 @@ from followthrough.blender import PINS_GROUP, add_groups, why_not_bakeable
 from followthrough.settings import default_solver
 
 from ..characters import active_mesh
+from ..properties import overrides
 
 #: Frames that springs are learned from, unless others are chosen.
 LEARNED_FRAMES = 96
@@ -37,6 +38,7 @@ class FOLLOWTHROUGH_OT_add(Operator):
         if reason := why_not_bakeable(obj, obj.followthrough.output):
             self.report({"ERROR"}, reason)
             return {"CANCELLED"}
+        overrides.prepare(obj)
         previous = obj.vertex_groups.active
         previous_name = previous.name if previous is not None else ""
         try:

@@ -5,9 +5,9 @@ import bpy
 from bpy.props import EnumProperty, StringProperty
 from bpy.types import Operator
 
-from followthrough.blender import MASS_GROUP, STIFFNESS_GROUP
+from followthrough.blender import MASS_GROUP, STIFFNESS_GROUP, add_groups
 
-from ..characters import active_character, why_not_editable
+from ..characters import active_character, missing_groups, why_not_editable, why_not_pinned
 
 #: What each target means at its ends, for the panel and the tooltips.
 MEANINGS = {
@@ -93,8 +93,10 @@ class FOLLOWTHROUGH_OT_paint(Operator):
         if obj is None or name is None:
             self.report({"ERROR"}, "Add a pin group first")
             return {"CANCELLED"}
+        if name in missing_groups(obj) and not self._make_again(obj, name):
+            return {"CANCELLED"}
         if name not in obj.vertex_groups:
-            self.report({"ERROR"}, f"The mesh has no vertex group '{name}'")
+            self.report({"ERROR"}, why_not_pinned(obj) or f"The mesh has no vertex group '{name}'")
             return {"CANCELLED"}
         object_name = obj.name
         if obj.mode != "WEIGHT_PAINT":
@@ -103,6 +105,18 @@ class FOLLOWTHROUGH_OT_paint(Operator):
         obj = context.scene.objects[object_name]
         obj.vertex_groups.active = obj.vertex_groups[name]
         return {"FINISHED"}
+
+    def _make_again(self, obj: bpy.types.Object, name: str) -> bool:
+        """Make a group of stiffness or mass that was deleted or renamed, with suggested values."""
+        try:
+            add_groups(obj, names=(name,))
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return False
+        if name not in obj.followthrough.made_groups:
+            obj.followthrough.made_groups.add().name = name
+        self.report({"INFO"}, f"The mesh had no '{name}': made again with suggested values")
+        return True
 
 
 class FOLLOWTHROUGH_OT_finish_painting(Operator):

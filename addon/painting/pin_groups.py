@@ -6,7 +6,7 @@ from bpy.types import Operator
 
 from followthrough.blender import PINS_GROUP
 
-from ..characters import active_character, why_not_editable
+from ..characters import active_character, why_not_editable, why_not_settable
 
 
 class FOLLOWTHROUGH_OT_add_pin_group(Operator):
@@ -49,13 +49,23 @@ class FOLLOWTHROUGH_OT_remove_pin_group(Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         obj = active_character(context)
-        return obj is not None and obj.followthrough.active_pin_group < len(obj.followthrough.pin_groups)
+        if obj is None or obj.followthrough.active_pin_group >= len(obj.followthrough.pin_groups):
+            cls.poll_message_set("There is no pin group in the list")
+            return False
+        if reason := why_not_settable(obj):
+            cls.poll_message_set(reason)
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         obj = active_character(context)
         if obj is None:
             return {"CANCELLED"}
         settings = obj.followthrough
-        settings.pin_groups.remove(settings.active_pin_group)
+        try:
+            settings.pin_groups.remove(settings.active_pin_group)
+        except TypeError:  # what a library override takes over can only be changed
+            self.report({"ERROR"}, "This pin group comes from another file: set its strength to 0 instead")
+            return {"CANCELLED"}
         settings.active_pin_group = max(0, min(settings.active_pin_group, len(settings.pin_groups) - 1))
         return {"FINISHED"}

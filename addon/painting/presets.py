@@ -7,7 +7,7 @@ import bpy
 from bpy.props import EnumProperty
 from bpy.types import Operator
 
-from ..characters import active_character
+from ..characters import active_character, why_not_settable
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,13 @@ class FOLLOWTHROUGH_OT_apply_preset(Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return active_character(context) is not None
+        obj = active_character(context)
+        if obj is None:
+            return False
+        if reason := why_not_settable(obj):
+            cls.poll_message_set(reason)
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         obj = active_character(context)

@@ -7,9 +7,12 @@ from bpy.types import Operator
 from followthrough.blender import why_not_previewable
 
 from ..bake.session import idle
-from ..characters import selected_characters
+from ..characters import require_pinned, selected_characters
 from ..properties.bake_settings import frame_range, object_settings
 from . import live
+
+#: Whether the timeline plays because the button has started it.
+_started_playback = False
 
 
 class FOLLOWTHROUGH_OT_preview(Operator):
@@ -45,6 +48,8 @@ class FOLLOWTHROUGH_OT_preview(Operator):
             return {"FINISHED"}
         characters = selected_characters(context)
         try:
+            for obj in characters:
+                require_pinned(obj)
             objects = {obj.name: object_settings(obj) for obj in characters}
             live.start(context.scene, objects, _loop(characters[0], context.scene) if characters else None)
         except ValueError as error:
@@ -53,11 +58,23 @@ class FOLLOWTHROUGH_OT_preview(Operator):
         return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """The same from a button, which also starts the playback."""
+        """The same from a button, which also starts the playback, and stops it where it has started it."""
         result = self.execute(context)
-        if live.running() is not None and context.screen is not None and not context.screen.is_animation_playing:
-            bpy.ops.screen.animation_play()
+        if context.screen is not None:
+            play_or_stop(context.screen)
         return result
+
+
+def play_or_stop(screen: bpy.types.Screen) -> None:
+    """Let the timeline play while there is a preview; afterwards it goes on playing where it did so before."""
+    global _started_playback
+    if live.running() is not None and not screen.is_animation_playing:
+        bpy.ops.screen.animation_play()
+        _started_playback = True
+    elif live.running() is None and _started_playback:
+        if screen.is_animation_playing:
+            bpy.ops.screen.animation_cancel(restore_frame=False)
+        _started_playback = False
 
 
 def _loop(obj: bpy.types.Object, scene: bpy.types.Scene) -> tuple[int, int] | None:

@@ -1,8 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What an artist sets on a character, and how it becomes the library's settings."""
 
-from .settings import FollowthroughMadeGroup, FollowthroughPinGroup, FollowthroughSettings
+from . import overrides
+from .settings import OVERRIDABLE, FollowthroughMadeGroup, FollowthroughPinGroup, FollowthroughSettings
 
 classes: tuple[type, ...] = (FollowthroughMadeGroup, FollowthroughPinGroup, FollowthroughSettings)
 
-__all__ = ["FollowthroughMadeGroup", "FollowthroughPinGroup", "FollowthroughSettings", "classes"]
+__all__ = [
+    "OVERRIDABLE",
+    "FollowthroughMadeGroup",
+    "FollowthroughPinGroup",
+    "FollowthroughSettings",
+    "classes",
+    "overrides",
+]

@@ -3,20 +3,27 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import bpy
-from bpy.props import (
-    BoolProperty,
-    CollectionProperty,
-    EnumProperty,
-    FloatProperty,
-    IntProperty,
-    StringProperty,
-)
 from bpy.types import PropertyGroup
 
 from followthrough.settings import EmulatorSettings, SimulationSettings, SpringSettings, VolumeSettings
+
+#: Of all properties: a library override of a character keeps what is set on it.
+OVERRIDABLE = {"LIBRARY_OVERRIDABLE"}
+BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty = (
+    partial(prop, override=OVERRIDABLE)
+    for prop in (
+        bpy.props.BoolProperty,
+        bpy.props.EnumProperty,
+        bpy.props.FloatProperty,
+        bpy.props.IntProperty,
+        bpy.props.StringProperty,
+    )
+)
+CollectionProperty = partial(bpy.props.CollectionProperty, override=OVERRIDABLE | {"USE_INSERTION"})
 
 _SPRINGS = SpringSettings()
 _VOLUME = VolumeSettings()

@@ -10,6 +10,7 @@ from ..learning import heat_map
 from ..learning.forget import FOLLOWTHROUGH_OT_forget_learned
 from ..learning.heat_map import FOLLOWTHROUGH_OT_hide_heat_map, FOLLOWTHROUGH_OT_show_heat_map
 from ..learning.operator import FOLLOWTHROUGH_OT_learn
+from .main_panel import draw_text
 from .settings_panels import CharacterPanel
 
 _QUANTITIES = (("stiffness", "Stiffness"), ("damping", "Damping"), ("regime", "Regime"))
@@ -31,6 +32,8 @@ class FOLLOWTHROUGH_PT_learning(CharacterPanel, Panel):
         row = layout.row()
         row.prop(settings, "use_learned")
         row.operator(FOLLOWTHROUGH_OT_forget_learned.bl_idname, text="", icon="TRASH")
+        if settings.solver != "springs":
+            draw_text(layout, context, "Springs swing on what was learned: choose them under Motion", icon="INFO")
         layout.label(text="Heat Map")
         shown = heat_map.shown_quantity(obj)
         row = layout.row(align=True)

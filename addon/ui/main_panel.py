@@ -13,7 +13,7 @@ from ..bake.clear import FOLLOWTHROUGH_OT_clear
 from ..bake.discard import FOLLOWTHROUGH_OT_discard_stopped_bake
 from ..bake.operator import FOLLOWTHROUGH_OT_bake
 from ..bake.session import BakeSession, resumable, running
-from ..characters import active_character, active_mesh, meshes_of_armature, selected_characters
+from ..characters import active_character, active_mesh, meshes_of_armature, selected_characters, why_not_pinned
 from ..painting.add import FOLLOWTHROUGH_OT_add
 from ..painting.paint import FOLLOWTHROUGH_OT_select_character
 from ..painting.remove import FOLLOWTHROUGH_OT_remove
@@ -91,9 +91,12 @@ def draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         draw_text(layout, context, str(problem), icon="ERROR")
         return
     start, end = frames.ends_in(scene)
+    for obj in characters:
+        if reason := why_not_seen(obj) or why_not_pinned(obj):
+            draw_text(layout, context, reason, icon="ERROR")
     draw_preview(layout, context)
     draw_cautions(layout, context, characters)
-    text = f"Bake {end - start + 1} Frames"
+    text = f"Bake {end - start + 1} {'Frame' if end == start else 'Frames'}"
     if len(characters) > 1:
         text += f" of {len(characters)} Meshes"
     row = layout.row(align=True)
@@ -104,6 +107,11 @@ def draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     row.operator(FOLLOWTHROUGH_OT_bake.bl_idname, text=text, icon="PHYSICS")
     if stopped is not None:
         row.operator(FOLLOWTHROUGH_OT_discard_stopped_bake.bl_idname, text="", icon="X")
+
+
+def why_not_seen(obj: bpy.types.Object) -> str | None:
+    """That a character is hidden; None where it is not."""
+    return None if obj.visible_get() else f"'{obj.name}' is hidden, and Blender does not pose it: show it first"
 
 
 def draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -124,7 +132,7 @@ def draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 
 def draw_cautions(layout: bpy.types.UILayout, context: bpy.types.Context, characters: list[bpy.types.Object]) -> None:
     """What the emulator has not learned, and the simulation, which can do it, a click away."""
-    texts = [(obj.name, caution_about(obj, context.scene)) for obj in characters]
+    texts = [(obj.name, caution_about(obj, context.scene)) for obj in characters if not why_not_pinned(obj)]
     told = [f"{name}: {text}" if len(characters) > 1 else text for name, text in texts if text]
     if told:
         box = layout.box()

@@ -5,7 +5,7 @@ import bpy
 from bpy.types import Panel
 
 from ..bake.session import running
-from ..characters import active_character
+from ..characters import active_character, missing_groups
 from ..painting.paint import (
     MEANINGS,
     FOLLOWTHROUGH_OT_finish_painting,
@@ -15,7 +15,7 @@ from ..painting.paint import (
 )
 from ..painting.pin_groups import FOLLOWTHROUGH_OT_add_pin_group, FOLLOWTHROUGH_OT_remove_pin_group
 from .lists import FOLLOWTHROUGH_UL_pin_groups
-from .main_panel import FollowthroughPanel
+from .main_panel import FollowthroughPanel, draw_text
 from .menus import FOLLOWTHROUGH_MT_presets
 
 _PAINT_BUTTONS = (("STIFFNESS", "Stiffness"), ("MASS", "Mass"), ("PINS", "Pins"))
@@ -52,6 +52,9 @@ class FOLLOWTHROUGH_PT_paint(CharacterPanel, Panel):
             column.label(text=MEANINGS[target], icon="INFO")
             if (owner := brush_weight_owner(context)) is not None:
                 column.prop(owner, "weight", slider=True)
+        for name in missing_groups(obj):
+            text = f"No vertex group '{name}': what is suggested is baked. Its button makes it again"
+            draw_text(layout, context, text, icon="ERROR")
         if obj.mode == "WEIGHT_PAINT":
             layout.operator(FOLLOWTHROUGH_OT_finish_painting.bl_idname, icon="CHECKMARK")
         self._draw_pin_groups(layout, obj)

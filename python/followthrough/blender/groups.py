@@ -20,6 +20,7 @@ from followthrough.suggestions import suggest_paint
 STIFFNESS_GROUP = "Followthrough Stiffness"
 MASS_GROUP = "Followthrough Mass"
 PINS_GROUP = "Followthrough Pins"
+USUAL_GROUPS = (STIFFNESS_GROUP, MASS_GROUP, PINS_GROUP)
 
 
 @dataclass(frozen=True)
@@ -51,8 +52,10 @@ class PaintGroups:
     pins: tuple[PinGroup, ...] | None = None
 
 
-def add_groups(obj: bpy.types.Object, surface: Surface | None = None) -> list[str]:
-    """Create those of the three usual groups that the mesh does not have yet, filled with suggested values.
+def add_groups(
+    obj: bpy.types.Object, surface: Surface | None = None, names: tuple[str, ...] = USUAL_GROUPS
+) -> list[str]:
+    """Create those of the usual groups that the mesh does not have yet, filled with suggested values.
 
     Parameters
     ----------
@@ -60,12 +63,14 @@ def add_groups(obj: bpy.types.Object, surface: Surface | None = None) -> list[st
         A mesh object that can be baked.
     surface
         What `read_surface` gave for it, where the caller has that already.
+    names
+        Which of the three.
 
     Returns
     -------
     Names of the groups that were created; groups that were there are not touched.
     """
-    missing = [name for name in (STIFFNESS_GROUP, MASS_GROUP, PINS_GROUP) if name not in obj.vertex_groups]
+    missing = [name for name in USUAL_GROUPS if name in names and name not in obj.vertex_groups]
     if not missing:
         return []
     paint = suggested_paint(obj, surface or read_surface(obj))

@@ -178,10 +178,15 @@ def _require_own_mesh(obj: bpy.types.Object, name: str) -> None:
     mesh = obj.data
     library = obj.library or mesh.library
     if library is not None or mesh.override_library is not None:
+        how = "make the mesh local (Object > Relations > Make Local), or choose Point Cache (PC2) as the output"
+        if obj.library is not None:  # where that output cannot be chosen either
+            how = (
+                "make object and mesh local (Object > Relations > Make Local, All), or override them (Object > Library Override) and "
+                "choose Point Cache (PC2) as the output"
+            )
         source = f" from {library.filepath}" if library is not None else ""
         raise NotBakeableError(
-            f"{name} has a mesh that is linked{source}: its shape keys would be lost when the file is opened again; "
-            "make the mesh local (Object > Relations > Make Local), or choose Point Cache (PC2) as the output"
+            f"{name} has a mesh that is linked{source}: its shape keys would be lost when the file is opened again; {how}"
         )
     sharing = sorted(other.name for other in bpy.data.objects if other.data == mesh and other != obj)
     if sharing:

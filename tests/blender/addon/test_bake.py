@@ -222,6 +222,19 @@ def test_a_stopped_bake_is_resumed(addon: ModuleType, painted: bpy.types.Object,
     assert [path.name for path in cached.iterdir() if path.is_dir()] == []
 
 
+def test_the_time_left_counts_from_where_a_bake_goes_on(
+    addon: ModuleType, painted: bpy.types.Object, cached: Path
+) -> None:
+    stopped_bake(addon, painted)
+    bake = running_bake(addon, painted)
+    while bake.notes() == ():
+        bake.advance(0.0)
+    assert bake.seconds_left() is None, "frames of the earlier bake say nothing about those to come"
+    bake.advance(0.0)
+    assert bake.seconds_left() is not None
+    bake.cancel()
+
+
 def test_a_stopped_bake_can_be_discarded(addon: ModuleType, painted: bpy.types.Object, cached: Path) -> None:
     assert not bpy.ops.followthrough.discard_stopped_bake.poll()
     stopped_bake(addon, painted)
@@ -246,9 +259,15 @@ def test_a_stopped_bake_of_other_paint_begins_anew(addon: ModuleType, painted: b
 def test_a_missing_pin_group_is_an_error(painted: bpy.types.Object) -> None:
     painted.vertex_groups.remove(painted.vertex_groups["Followthrough Pins"])
     before = contents()
-    with pytest.raises(RuntimeError, match="Followthrough Pins"):
-        bpy.ops.followthrough.bake()
+    for operator in (bpy.ops.followthrough.bake, bpy.ops.followthrough.learn, bpy.ops.followthrough.preview):
+        with pytest.raises(
+            RuntimeError, match=r"'Followthrough Pins' any more.*choose another one under Paint, Pin Groups"
+        ):
+            operator()
     assert contents() == before
+    painted.followthrough.pin_groups[0].name = ""
+    with pytest.raises(RuntimeError, match="no vertex group is chosen: choose another one"):
+        bpy.ops.followthrough.bake()
 
 
 def test_an_error_halfway_is_reported_and_restores(

@@ -2,6 +2,7 @@
 """Learn from Simulation, the heat map, and how they are taken back."""
 
 import itertools
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -57,7 +58,7 @@ def test_learn_keeps_springs_that_the_bake_uses(painted: bpy.types.Object) -> No
 def test_the_range_is_the_artists(painted: bpy.types.Object) -> None:
     assert (painted.followthrough.learn_start, painted.followthrough.learn_end) == (1, 12)
     painted.followthrough.learn_end = 4
-    with pytest.raises(RuntimeError, match="10 or more to learn from"):
+    with pytest.raises(RuntimeError, match="4 frames are too few: take 10 or more to learn from, First to Last"):
         bpy.ops.followthrough.learn()
     painted.followthrough.learn_end = -3
     assert painted.followthrough.learn_start == -3
@@ -110,12 +111,24 @@ def test_the_heat_map_colours_what_was_learned(addon: ModuleType, learned: bpy.t
 
 def test_the_legend_is_the_scale(addon: ModuleType, learned: bpy.types.Object) -> None:
     legend = addon.learning.legend
-    shown = addon.learning.heat_map.show(learned, "stiffness")
+    addon.learning.heat_map.show(learned, "stiffness")
+    shown = addon.learning.heat_map.shown_scale(learned)
     stripes = legend.stripes(shown, 2.0)
     assert all(above.corners[1] == below.corners[3] for below, above in itertools.pairwise(stripes))
     assert stripes[0].colour != stripes[-1].colour
     texts = [text for _, _, text in legend.labels(shown, 2.0)]
-    assert texts == [f"{shown.low:.1f}", f"{(shown.low + shown.high) / 2:.1f}", f"{shown.high:.1f}", "log10 ks (1/s²)"]
+    assert texts == [
+        f"{shown.low:.1f}",
+        f"{(shown.low + shown.high) / 2:.1f}",
+        f"{shown.high:.1f}",
+        "Stiffness, log10 ks (1/s²)",
+    ]
+    aside = legend.stripes(shown, 2.0, left=50.0)
+    assert aside[0].corners[0] == stripes[0].corners[0] + 50.0
+    addon.learning.heat_map.show(learned, "regime")
+    texts = [text for _, _, text in legend.labels(addon.learning.heat_map.shown_scale(learned), 1.0)]
+    assert texts[0].endswith("swings")
+    assert texts[2].endswith("creeps")
 
 
 def test_hiding_takes_the_colours_off(learned: bpy.types.Object) -> None:
@@ -124,6 +137,90 @@ def test_hiding_takes_the_colours_off(learned: bpy.types.Object) -> None:
     assert ATTRIBUTE not in learned.data.color_attributes
     assert not bpy.ops.followthrough.hide_heat_map.poll()
     assert has_learned(learned)
+
+
+def viewport() -> bpy.types.SpaceView3D:
+    return next(area.spaces.active for area in bpy.context.screen.areas if area.type == "VIEW_3D")
+
+
+def legend(addon: ModuleType) -> Any:
+    return addon.learning.legend.legend_in(viewport(), bpy.context)
+
+
+def test_undo_takes_the_legend_and_the_viewports_colours_along(addon: ModuleType, learned: bpy.types.Object) -> None:
+    before = viewport().shading.color_type
+    bpy.ops.ed.undo_push(message="Before")
+    bpy.ops.followthrough.show_heat_map(quantity="stiffness")
+    bpy.ops.ed.undo_push(message="Stiffness")
+    bpy.ops.followthrough.show_heat_map(quantity="regime")
+    bpy.ops.ed.undo_push(message="Regime")
+    assert legend(addon).quantity == "regime"
+    bpy.ops.ed.undo()
+    assert legend(addon).quantity == "stiffness"
+    assert viewport().shading.color_type == "VERTEX"
+    bpy.ops.ed.undo()
+    assert legend(addon) is None
+    assert viewport().shading.color_type == before
+    bpy.ops.ed.redo()
+    assert legend(addon).quantity == "stiffness"
+
+
+def test_the_legend_is_there_again_when_the_file_is(
+    addon: ModuleType, learned: bpy.types.Object, tmp_path: Path
+) -> None:
+    bpy.ops.followthrough.show_heat_map(quantity="damping")
+    shown = legend(addon)
+    learned.name = "Renamed"
+    assert legend(addon) == shown
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
+    viewport().shading.color_type = "VERTEX"  # where the file's own screens are not opened with it
+    assert legend(addon) == shown
+
+
+def test_no_legend_where_the_colours_are_not_seen(addon: ModuleType, learned: bpy.types.Object) -> None:
+    bpy.ops.followthrough.show_heat_map(quantity="damping")
+    bpy.ops.followthrough.paint(target="MASS")
+    assert legend(addon) is None
+    bpy.ops.followthrough.finish_painting()
+    assert legend(addon) is not None
+    viewport().shading.type = "MATERIAL"
+    assert legend(addon) is None
+
+
+@pytest.mark.parametrize("take_off", ["hide_heat_map", "forget_learned", "remove"])
+def test_what_a_viewport_showed_before_is_back(learned: bpy.types.Object, take_off: str) -> None:
+    viewport().shading.color_type = "RANDOM"
+    viewport().shading.type = "MATERIAL"
+    bpy.ops.followthrough.show_heat_map(quantity="damping")
+    bpy.ops.followthrough.show_heat_map(quantity="regime")
+    assert (viewport().shading.type, viewport().shading.color_type) == ("SOLID", "VERTEX")
+    getattr(bpy.ops.followthrough, take_off)()
+    assert viewport().shading.type == "MATERIAL"
+    viewport().shading.type = "SOLID"
+    assert viewport().shading.color_type == "RANDOM"
+
+
+def test_the_active_colours_are_active_again(learned: bpy.types.Object) -> None:
+    attributes = learned.data.color_attributes
+    for name in ("First", "Second", "Third"):
+        attributes.new(name, "BYTE_COLOR", "POINT")
+    attributes.active_color_index = 1
+    bpy.ops.followthrough.show_heat_map(quantity="damping")
+    bpy.ops.followthrough.show_heat_map(quantity="regime")
+    bpy.ops.followthrough.hide_heat_map()
+    assert attributes.active_color.name == "Second"
+
+
+def test_learning_again_colours_anew(learned: bpy.types.Object) -> None:
+    bpy.ops.followthrough.show_heat_map(quantity="stiffness")
+    before = colours(learned)
+    learned.followthrough.modulus_soft = learned.followthrough.modulus_stiff = 100.0
+    bpy.ops.followthrough.learn()
+    after = colours(learned)
+    assert not np.array_equal(before, after)
+    bpy.ops.followthrough.show_heat_map(quantity="stiffness")
+    assert np.array_equal(after, colours(learned))
 
 
 def test_forgetting_goes_back_to_paint(painted: bpy.types.Object) -> None:

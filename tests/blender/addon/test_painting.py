@@ -100,11 +100,16 @@ def test_pins_paint_the_chosen_group(painted: bpy.types.Object) -> None:
     assert painted.vertex_groups.active.name == PINS_GROUP
 
 
-def test_a_group_that_is_missing_is_named(painted: bpy.types.Object) -> None:
+def test_a_group_that_is_gone_is_made_again_where_it_is_painted(painted: bpy.types.Object) -> None:
+    suggested = weights(painted, MASS_GROUP)
     painted.vertex_groups.remove(painted.vertex_groups[MASS_GROUP])
-    with pytest.raises(RuntimeError, match=MASS_GROUP):
-        bpy.ops.followthrough.paint(target="MASS")
-    assert painted.mode == "OBJECT"
+    painted.vertex_groups.remove(painted.vertex_groups[PINS_GROUP])
+    assert bpy.ops.followthrough.paint(target="MASS") == {"FINISHED"}
+    assert painted.vertex_groups.active.name == MASS_GROUP
+    assert weights(painted, MASS_GROUP) == suggested
+    assert PINS_GROUP not in painted.vertex_groups, "pins may have been taken out on purpose"
+    with pytest.raises(RuntimeError, match=f"{PINS_GROUP}.*choose another one"):
+        bpy.ops.followthrough.paint(target="PINS")
 
 
 def test_removing_a_pin_group_keeps_its_weights(painted: bpy.types.Object) -> None:

@@ -229,3 +229,43 @@ def test_a_pin_group_that_is_missing_is_marked(addon: ModuleType, painted: bpy.t
     assert "Pins" in layout.texts
     assert "ERROR" in layout.icons
     assert draw(addon)["Paint"]
+
+
+def test_a_group_that_is_gone_is_told_where_it_is_painted(addon: ModuleType, painted: bpy.types.Object) -> None:
+    before = draw(addon)
+    painted.vertex_groups["Followthrough Stiffness"].name = "Stiff"
+    told = " ".join(draw(addon)["Paint"])
+    assert "No vertex group 'Followthrough Stiffness'" in told
+    assert "Followthrough Mass" not in told
+    assert bpy.ops.followthrough.paint(target="STIFFNESS") == {"FINISHED"}
+    bpy.ops.followthrough.finish_painting()
+    assert draw(addon) == before
+    bpy.ops.followthrough.remove()
+    assert painted.vertex_groups.keys() == ["lower", "upper", "Stiff"]
+
+
+def test_what_is_missing_for_a_bake_is_said_above_the_button(addon: ModuleType, painted: bpy.types.Object) -> None:
+    painted.followthrough.solver = "emulator"
+    painted.vertex_groups.remove(painted.vertex_groups["Followthrough Pins"])
+    texts = draw(addon)["Followthrough"]
+    told = " ".join(texts)
+    assert "no vertex group 'Followthrough Pins'" in told
+    assert "" not in texts[texts.index("Preview") + 1 : -2], "Use Simulation is no answer to that"
+    painted.followthrough.pin_groups.clear()
+    painted.followthrough.solver = "springs"
+    painted.hide_set(True)
+    assert "is hidden" in " ".join(draw(addon)["Followthrough"])
+
+
+def test_one_frame_is_no_frames(addon: ModuleType, painted: bpy.types.Object) -> None:
+    bpy.context.scene.frame_end = 1
+    assert "Bake 1 Frame" in draw(addon)["Followthrough"]
+
+
+def test_learned_springs_are_for_the_solver_springs(addon: ModuleType, painted: bpy.types.Object) -> None:
+    bpy.ops.followthrough.learn()
+    painted.followthrough.solver = "springs"
+    plain = draw(addon)["Learned Springs"]
+    painted.followthrough.solver = "emulator"
+    assert "choose them under" in " ".join(draw(addon)["Learned Springs"])
+    assert "choose them under" not in " ".join(plain)

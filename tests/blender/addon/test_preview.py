@@ -372,3 +372,19 @@ def test_it_says_how_fast_it_is(addon: ModuleType, painted: bpy.types.Object) ->
     played(painted, range(1, 9))
     assert running.milliseconds > 0.0 and running.frames_per_second > 0.0
     assert "frames a second" in addon.preview.live.figures(running)
+
+
+@pytest.mark.parametrize("plays", [False, True])
+def test_the_button_stops_the_playback_that_it_has_started(
+    addon: ModuleType, painted: bpy.types.Object, plays: bool
+) -> None:
+    screen, button = bpy.context.screen, addon.preview.operator.play_or_stop
+    if plays:
+        bpy.ops.screen.animation_play()
+    bpy.ops.followthrough.preview()
+    button(screen)
+    assert screen.is_animation_playing
+    bpy.ops.followthrough.preview()
+    button(screen)
+    assert screen.is_animation_playing == plays
+    bpy.ops.screen.animation_cancel()

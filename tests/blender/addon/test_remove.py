@@ -9,10 +9,11 @@ import bpy
 import numpy as np
 import pytest
 
-from followthrough.blender import MASS_GROUP, PINS_GROUP
+from followthrough.blender import MASS_GROUP, PINS_GROUP, has_learned
 from followthrough.blender.actions import _curves
 
 from .conftest import make_character, select
+from .file_contents import keys
 
 
 def described(animation: Any) -> Any:
@@ -173,3 +174,22 @@ def test_undo_takes_the_whole_removal_back(painted: bpy.types.Object) -> None:
     assert back.followthrough.cells == 8
     assert len(back.data.shape_keys.key_blocks) == 13
     assert PINS_GROUP in back.vertex_groups
+
+
+def test_what_another_character_shares_stays(painted: bpy.types.Object) -> None:
+    bpy.ops.followthrough.bake()
+    bpy.ops.followthrough.learn()
+    bpy.ops.object.duplicate(linked=True)
+    twin = bpy.context.object
+    assert twin != painted
+    assert twin.data == painted.data
+    groups, baked = painted.vertex_groups.keys(), keys(painted)
+    assert bpy.ops.followthrough.remove() == {"FINISHED"}
+    assert not twin.followthrough.is_added
+    assert painted.vertex_groups.keys() == groups
+    assert keys(painted) == baked
+    assert has_learned(painted)
+    select(painted)
+    bpy.ops.followthrough.remove()
+    assert PINS_GROUP not in painted.vertex_groups
+    assert keys(painted) == []
