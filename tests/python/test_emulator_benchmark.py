@@ -24,8 +24,8 @@ from followthrough.benchmarking.emulator_speed import (
 from followthrough.benchmarking.measurement import Result, SizeResult
 from followthrough.benchmarking.methods import TRUTH, Method, SkinningAlone, few_iterations, truth_method
 from followthrough.benchmarking.runtimes import Batching, chunks
-from followthrough.benchmarking.whole_frame import PARTS, measure_whole_frame
 from followthrough.benchmarking.scene import make_scene, make_scene_of_free
+from followthrough.benchmarking.whole_frame import PARTS, measure_whole_frame
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights
 

@@ -51,7 +51,8 @@ class Result:
     frames
         That it was measured in, and finite for.
     single_frame
-        Root mean square error over all vertices (constrained ones included) and axes of every frame from true history, m.
+        Root mean square error over all vertices (constrained ones included) and axes of every frame from true history, m; NaN where
+        that says nothing about the method.
     rollout_24, rollout_all
         The same of the rollout, its first 24 frames and all; infinite where it exploded, None where there were fewer frames.
     largest
@@ -222,7 +223,9 @@ def measure(
     singles = {lane.method.name: root_mean(lane.single) for lane in lanes if lane.judged}
     # The truth's own next frame is the truth.
     singles[TRUTH] = 0.0
-    measured = {(lane.method.name, lane.threads): lane.result(singles[lane.method.name]) for lane in lanes}
+    measured = {
+        (lane.method.name, lane.threads): lane.result(singles.get(lane.method.name, float("nan"))) for lane in lanes
+    }
     truth = _true_lane(lanes)
     return SizeResult(
         vertices=sequence.vertex_count,
@@ -274,7 +277,7 @@ def _set_up(
             skipped[method.name, number] = Result(method.name, method.summary, number, skipped=reason)
             continue
         solver.reset(reference[0])
-        judged = method.name != TRUTH and all(lane.method.name != method.name for lane in lanes)
+        judged = method.has_errors and method.name != TRUTH and all(lane.method.name != method.name for lane in lanes)
         notes = [*(str(w.message) for w in caught), *method.notes(solver)]
         lanes.append(_Lane(method, number, solver, setup, notes, judged, reference[0]))
     return lanes, skipped

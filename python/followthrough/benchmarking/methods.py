@@ -58,6 +58,8 @@ class Method:
         What there is to say about a solver that `make` has made.
     same_bits
         Whether results must not depend on the number of threads.
+    has_errors
+        Whether single frames from true history say anything about it.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Method:
     forecast: Callable[[Any, Scene], float] | None = None
     notes: Callable[[Any], list[str]] = lambda solver: []
     same_bits: bool = True
+    has_errors: bool = True
 
 
 class SkinningAlone(Solver):

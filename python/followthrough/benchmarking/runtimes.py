@@ -381,4 +381,4 @@ def _method(
     notes: Callable[[RuntimeSolver], list[str]] = lambda solver: [  # noqa: E731
         f"fastest of {solver.tried} batchings on {_core.threads()} thread{'s' if _core.threads() > 1 else ''}: {solver.batching}"
     ]
-    return Method(name, f"the published network in {title}", make, notes=notes, same_bits=False)
+    return Method(name, f"the published network in {title}", make, notes=notes, same_bits=False, has_errors=False)
