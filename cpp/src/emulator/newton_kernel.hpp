@@ -97,26 +97,25 @@ struct GuideKernel {
   std::int32_t widest;  ///< of its inputs and outputs
 };
 
-#define FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(isa)                                                                                \
-  namespace isa {                                                                                                                \
-  void add_tets(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept;                             \
-  /* Adds the block at the second of each pair of places to that at the first. */                                                \
-  void add_blocks(const std::int32_t* places, std::int32_t pairs, float* sums) noexcept;                                         \
-  void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;        \
-  void assemble_blocks(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept;                      \
-  void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;        \
-  void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group, std::int32_t last_group,                     \
-                    LaneSums* sums) noexcept;                                                                                    \
-  /* The solution as well, as it needs the direction too. */                                                                     \
-  void turn_rows(const NewtonRows& rows, float length, float share, std::int32_t first_group, std::int32_t last_group) noexcept; \
-  /* The solution, and what is left, in edges. */                                                                                \
-  void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept;                         \
-  /* Means of the neighbours' records minus the row's own, (16, padded). */                                                      \
-  void neighbour_means(const float* records, const std::int32_t* starts, const std::int32_t* neighbours, std::int32_t rows,      \
-                       std::int32_t padded, std::int32_t first_group, std::int32_t last_group, float* means) noexcept;           \
-  /* Scratch: 2 kNewtonGroup widest floats. */                                                                                   \
-  void guide_rows(const GuideInputs& inputs, const GuideKernel& guide, std::int32_t first_group, std::int32_t last_group,        \
-                  float* scratch) noexcept;                                                                                      \
+#define FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(isa)                                                                           \
+  namespace isa {                                                                                                           \
+  void add_tets(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept;                        \
+  /* Adds the block at the second of each pair of places to that at the first. */                                           \
+  void add_blocks(const std::int32_t* places, std::int32_t pairs, float* sums) noexcept;                                    \
+  void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;   \
+  void assemble_blocks(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept;                 \
+  void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;   \
+  void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group, std::int32_t last_group,                \
+                    LaneSums* sums) noexcept;                                                                               \
+  void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, std::int32_t last_group) noexcept;          \
+  /* The solution, and what is left, in edges. */                                                                           \
+  void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept;                    \
+  /* Means of the neighbours' records minus the row's own, (16, padded). */                                                 \
+  void neighbour_means(const float* records, const std::int32_t* starts, const std::int32_t* neighbours, std::int32_t rows, \
+                       std::int32_t padded, std::int32_t first_group, std::int32_t last_group, float* means) noexcept;      \
+  /* Scratch: 2 kNewtonGroup widest floats. */                                                                              \
+  void guide_rows(const GuideInputs& inputs, const GuideKernel& guide, std::int32_t first_group, std::int32_t last_group,   \
+                  float* scratch) noexcept;                                                                                 \
   }
 FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(baseline)
 FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(avx2)

@@ -645,7 +645,7 @@ void NewtonProblem::solve(int iterations) {
       }
       barrier.wait();
       const double next = sum(1);
-      kernel.turn_rows(row_frame, length, static_cast<float>(next / square), first_group, end_group);
+      kernel.turn_rows(row_frame, static_cast<float>(next / square), first_group, end_group);
       square = next;
     }
     kernel.unscale_rows(row_frame, first_group, end_group);

@@ -169,10 +169,12 @@ void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
 void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group, std::int32_t last_group,
                   LaneSums* sums) noexcept {
   for (int lane = 0; lane < kGroup; ++lane) sums->sums[1][lane] = 0.0f;
-  const Real back = real(-length);
+  const Real step = real(length), back = real(-length);
   for (std::int64_t group = first_group; group < last_group; ++group) {
     for (int lane = 0; lane < kGroup; lane += kLanes) {
       const std::int64_t row = group * kGroup + lane;
+      store(rows.solution + row, rows.padded,
+            fma_of(load_vectors(rows.direction + 4 * row), step, load_triple(rows.solution + row, rows.padded)));
       const Triple left = fma_of(load_triple(rows.product + row, rows.padded), back, load_triple(rows.residual + row, rows.padded));
       const Triple next = load_symmetric(rows.inverse + group * 6 * kGroup + lane) * left;
       store(rows.residual + row, rows.padded, left);
@@ -182,12 +184,10 @@ void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group
   }
 }
 
-void turn_rows(const NewtonRows& rows, float length, float share, std::int32_t first_group, std::int32_t last_group) noexcept {
-  const Real step = real(length), part = real(share);
+void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, std::int32_t last_group) noexcept {
+  const Real part = real(share);
   for (std::int64_t row = std::int64_t{first_group} * kGroup; row < std::int64_t{last_group} * kGroup; row += kLanes) {
-    const Triple along = load_vectors(rows.direction + 4 * row);
-    store(rows.solution + row, rows.padded, fma_of(along, step, load_triple(rows.solution + row, rows.padded)));
-    const Triple turned = fma_of(along, part, load_triple(rows.preconditioned + row, rows.padded));
+    const Triple turned = fma_of(load_vectors(rows.direction + 4 * row), part, load_triple(rows.preconditioned + row, rows.padded));
     store_vectors(rows.direction + 4 * row, turned);
   }
 }
