@@ -34,7 +34,7 @@ TOLERANCE = 1e-4
 #: Free vertices a chunk that are tried, in this order; None: all in one.
 CHUNKS = (128, 512, 2048, None)
 #: Seconds after which no further batching is tried. What wins most often is tried first.
-MOST_SECONDS = 8.0
+MOST_SECONDS = 5.0
 
 
 @dataclass(frozen=True)
