@@ -2,15 +2,16 @@
 # Kernel files (*.kernel.cpp) are compiled once per instruction set, each into a namespace of its own (FOLLOWTHROUGH_ISA), and picked
 # at run time. They must include no header with inline functions of a library (Eigen, most of the standard library): the linker keeps
 # one copy of such a function, and it may be the AVX-512 one.
-# Files *.amx.cpp are such kernels for that set alone.
+# Files *.amx.cpp and *.avx512_bf16.cpp are such kernels for that set alone.
 include(CheckCXXCompilerFlag)
 file(GLOB_RECURSE kernel_sources CONFIGURE_DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/cpp/src/*.kernel.cpp")
 file(GLOB_RECURSE amx_sources CONFIGURE_DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/cpp/src/*.amx.cpp")
+file(GLOB_RECURSE avx512_bf16_sources CONFIGURE_DEPENDS "${CMAKE_CURRENT_SOURCE_DIR}/cpp/src/*.avx512_bf16.cpp")
 
 function(followthrough_add_kernels isa)
   set(sources ${kernel_sources})
-  if(isa STREQUAL "amx")
-    set(sources ${amx_sources})
+  if(isa MATCHES "^(amx|avx512_bf16)$")
+    set(sources ${${isa}_sources})
   endif()
   add_library(followthrough_kernels_${isa} OBJECT ${sources})
   target_include_directories(followthrough_kernels_${isa} PRIVATE cpp/include cpp/src)
@@ -34,10 +35,15 @@ if(kernel_sources)
       followthrough_add_kernels(baseline -march=x86-64-v2)
       followthrough_add_kernels(avx2 -march=x86-64-v3)
       followthrough_add_kernels(avx512 -march=x86-64-v4 -mprefer-vector-width=512)
-      set(amx_flags -mavx512bf16 -mamx-tile -mamx-bf16)
+      set(avx512_bf16_flags -march=x86-64-v4 -mprefer-vector-width=512 -mavx512bf16)
+      set(amx_flags ${avx512_bf16_flags} -mamx-tile -mamx-bf16)
+      check_cxx_compiler_flag("${avx512_bf16_flags}" FOLLOWTHROUGH_COMPILES_AVX512_BF16)
       check_cxx_compiler_flag("${amx_flags}" FOLLOWTHROUGH_COMPILES_AMX)
+      if(FOLLOWTHROUGH_COMPILES_AVX512_BF16)
+        followthrough_add_kernels(avx512_bf16 ${avx512_bf16_flags})
+      endif()
       if(CMAKE_SYSTEM_NAME STREQUAL "Linux" AND FOLLOWTHROUGH_COMPILES_AMX)
-        followthrough_add_kernels(amx -march=x86-64-v4 -mprefer-vector-width=512 ${amx_flags})
+        followthrough_add_kernels(amx ${amx_flags})
       endif()
     endif()
   else()

@@ -11,11 +11,11 @@
 #include <random>
 #include <vector>
 
+#include "bfloat16_unit.hpp"
 #include "dancer.hpp"
 #include "followthrough/emulator/emulator.hpp"
 #include "followthrough/emulator/patch_newton.hpp"
 #include "instruction_set.hpp"
-#include "tile_unit.hpp"
 
 #if defined(__x86_64__)
 #include <immintrin.h>
@@ -96,7 +96,7 @@ bool available(InstructionSet set) {
 }
 
 void emulator_step(benchmark::State& state, InstructionSet set, Eigen::Index divisor, Precision precision = Precision::float32) {
-  if (!available(set) || (precision == Precision::bfloat16 && !has_tile_unit())) {
+  if (!available(set) || (precision == Precision::bfloat16 && bfloat16_unit() == Bfloat16Unit::none)) {
     state.SkipWithError("not available on this machine");
     return;
   }

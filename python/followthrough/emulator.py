@@ -62,7 +62,7 @@ class Emulator(Solver):
         backward Euler's own answer, and the slower. Only for networks that guide Newton steps.
     precision
         Of the hidden layers. ``bfloat16`` rounds their weights and inputs to 8 significant bits, in a fraction of the time; it needs
-        Linux and a processor with AMX. Only for the paper's network.
+        Linux and a processor with AMX, or AMD's AVX-512 (from Zen 4 on). Only for the paper's network.
 
     Raises
     ------

@@ -3,6 +3,7 @@
 
 import json
 import math
+import time
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,19 @@ import pytest
 
 from followthrough import _core, cli
 from followthrough.benchmarking import emulator_speed, measurement
-from followthrough.benchmarking.emulator_speed import PUBLISHED, SHIPPED, equal_error, published_weights, speeds
+from followthrough.benchmarking.emulator_speed import (
+    BFLOAT16,
+    PUBLISHED,
+    SHIPPED,
+    equal_error,
+    published_weights,
+    speeds,
+)
 from followthrough.benchmarking.measurement import Result, SizeResult
-from followthrough.benchmarking.methods import TRUTH
+from followthrough.benchmarking.methods import TRUTH, Method, SkinningAlone, few_iterations, truth_method
 from followthrough.benchmarking.runtimes import Batching, chunks
 from followthrough.benchmarking.scene import make_scene, make_scene_of_free
+from followthrough.benchmarking.whole_frame import PARTS, measure_whole_frame
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights
 
@@ -49,6 +58,7 @@ def test_ratios_are_those_of_the_times() -> None:
         timed("sgemm/1024", 4.0, GFLOP=0.2),
         timed(PUBLISHED, 10.0, GFLOP=0.5),
         timed(PUBLISHED, 6.0, threads=2, GFLOP=0.5),
+        timed(BFLOAT16, 5.0),
         timed("pytorch", 50.0),
         timed(SHIPPED, 2.0, 1e-3),
     ]
@@ -56,6 +66,7 @@ def test_ratios_are_those_of_the_times() -> None:
     one, two = speeds(size)
     assert (one.peak_gflops, one.gflops, one.share_of_peak) == pytest.approx((100.0, 50.0, 0.5))
     assert one.over_pytorch == pytest.approx(5.0) and one.over_onnx_runtime is None
+    assert one.bfloat16_over_pytorch == pytest.approx(10.0) and one.bfloat16_over_onnx_runtime is None
     assert one.shipped_share == pytest.approx(0.2)
     assert (two.speed_up, two.peak_gflops, two.shipped_share) == (pytest.approx(10 / 6), None, None)
 
@@ -97,6 +108,37 @@ def test_one_json_object_and_a_plot(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert [speed["threads"] for speed in size["speeds"]] == [1, 2]
     assert size["speeds"][1]["speed_up"] > 0 and size["speeds"][0]["gflops"] > 0
     assert picture.read_bytes().startswith(b"\x89PNG")
+    assert [frame["threads"] for frame in values["whole_frames"]] == [1, 2]
+    assert all(set(frame["parts"]) == set(PARTS) for frame in values["whole_frames"])
+
+
+def test_a_whole_frame_is_measured_with_its_parts() -> None:
+    (found,) = measure_whole_frame([1], 5, sides=8, cells=10)
+    assert found.surface_vertices == 14 * (8 * 8 + 2) and found.frames == 5
+    assert 0 < found.free_vertices < found.volume_vertices
+    assert 0 < found.ms_low <= found.ms_median <= found.ms_high
+    assert list(found.parts) == list(PARTS) and min(found.parts.values()) > 0
+    # The pass does what the parts do, and hardly anything else.
+    assert found.parts["step"] < 2 * found.ms_median
+
+
+def test_large_sizes_end_in_time_with_the_truth_of_one_number_of_threads() -> None:
+    class Slow(SkinningAlone):
+        def reset(self, reference: Any) -> Any:
+            time.sleep(0.2)
+            return super().reset(reference)
+
+    scene = make_scene(300, 5)
+    slow = [Method(f"slow/{k}", "", lambda scene: Slow()) for k in range(8)]
+    begun = time.perf_counter()
+    size = measurement.measure(scene, [*slow, few_iterations(1), truth_method()], [1, 2], seconds=1.0)
+    assert time.perf_counter() - begun < 10.0
+    results = {(result.name, result.threads): result for result in size.results}
+    assert results["slow/0", 1].skipped is None
+    late = "making the methods before it took 60% of the time"
+    assert results["slow/7", 2].skipped == results["implicit-euler/1", 1].skipped == results[TRUTH, 1].skipped == late
+    truth = results[TRUTH, 2]
+    assert truth.skipped is None and truth.frames == size.frames >= 1
 
 
 def test_what_is_not_installed_is_said_and_the_rest_measured(capsys: pytest.CaptureFixture[str]) -> None:

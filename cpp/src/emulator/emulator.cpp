@@ -11,19 +11,19 @@
 #include <string>
 #include <vector>
 
+#include "bfloat16_unit.hpp"
 #include "emulator/packed_network.hpp"
 #include "emulator/patch_kernel.hpp"
 #include "emulator/patches.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
-#include "tile_unit.hpp"
 #include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
 
 // What a core does at least, multiply-adds a nanosecond.
-constexpr double slowest_rate = 20.0, slowest_tile_rate = 200.0;
+constexpr double slowest_rate = 20.0, slowest_pair_rate = 40.0, slowest_tile_rate = 200.0;
 
 struct Kernels {
   decltype(&baseline::neighbour_shares) neighbour_shares;
@@ -34,8 +34,13 @@ struct Kernels {
 
 Kernels kernels(Precision precision) {
 #ifdef FOLLOWTHROUGH_HAS_amx
-  if (precision == Precision::bfloat16) {
+  if (precision == Precision::bfloat16 && bfloat16_unit() == Bfloat16Unit::tiles) {
     return {avx512::neighbour_shares, amx::predict_changes, kTileBlockRows, slowest_tile_rate};
+  }
+#endif
+#ifdef FOLLOWTHROUGH_HAS_avx512_bf16
+  if (precision == Precision::bfloat16) {
+    return {avx512::neighbour_shares, avx512_bf16::predict_changes, kTileBlockRows, slowest_pair_rate};
   }
 #else
   (void)precision;
@@ -121,7 +126,7 @@ struct Emulator::Parts {
 
 Emulator::Parts::Parts(const EmulatedBody& body, const PatchNetwork& weights, const NetworkUnits& units, Precision precision)
     : count(body.rest_positions.rows()), rest(body.rest_positions), network((require_network(weights), weights), precision) {
-  if (precision == Precision::bfloat16) require_tile_unit();
+  if (precision == Precision::bfloat16) require_bfloat16_unit();
   require_finite("gravity", body.gravity.transpose());
   require_finite("rest_positions", rest);
   require_indices("tets", body.tets, count);

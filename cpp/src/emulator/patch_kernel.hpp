@@ -14,7 +14,7 @@ namespace followthrough {
 inline constexpr std::int32_t kPanel = 16;
 /// Rows (edges or vertices) that go through all layers together. Their activations stay in the first-level cache.
 inline constexpr std::int32_t kBlockRows = 24;
-/// The same in bfloat16: tiles are taken two by two.
+/// The same in bfloat16: a tile unit takes tiles two by two.
 inline constexpr std::int32_t kTilePanel = 32, kTileBlockRows = 32;
 
 /// A linear layer, packed: weights of outputs [16 p, 16 p + 16) are one panel, input by input.
@@ -25,8 +25,8 @@ struct DenseKernel {
   std::int32_t outputs;  ///< a multiple of kPanel
 };
 
-/// A linear layer of bfloat16 weights for a processor's tile unit: tiles of 32 inputs by 16 outputs, those of the first 16 outputs
-/// first, input by input. In a tile, inputs 2 k and 2 k + 1 of an output lie next to each other.
+/// A linear layer of bfloat16 weights: tiles of 32 inputs by 16 outputs, those of the first 16 outputs first, input by input. In a
+/// tile, inputs 2 k and 2 k + 1 of an output lie next to each other.
 struct TileLayer {
   const std::uint16_t* weights;  ///< (outputs / 16, inputs / 32, 16, 16, 2)
   const float* bias;             ///< (outputs,)
@@ -77,10 +77,14 @@ FOLLOWTHROUGH_DECLARE_PATCH_KERNELS(avx2)
 FOLLOWTHROUGH_DECLARE_PATCH_KERNELS(avx512)
 #undef FOLLOWTHROUGH_DECLARE_PATCH_KERNELS
 
+// With the hidden layers in bfloat16. `scratch`: kTileBlockRows rows, each of three times the widest, a panel, two and a half
+// joined rows and the features.
 namespace amx {
-/// With the hidden layers in bfloat16, on the calling thread's tile unit.
-/// @param scratch kTileBlockRows rows, each of three times the widest, a panel, two and a half joined rows and the features
+/// On the calling thread's tile unit.
 void predict_changes(const PatchFrame& frame, std::int32_t first, std::int32_t last, float* scratch) noexcept;
 }  // namespace amx
+namespace avx512_bf16 {
+void predict_changes(const PatchFrame& frame, std::int32_t first, std::int32_t last, float* scratch) noexcept;
+}  // namespace avx512_bf16
 
 }  // namespace followthrough

@@ -72,10 +72,12 @@ def segments() -> FloatArray:
     return np.array([(bone.head, bone.tail) for bone in BONES.values()], dtype=np.float64)
 
 
-def surface() -> Surface:
-    """The skin: capsules that cross each other, m."""
+def surface(sides: int = 24) -> Surface:
+    """The skin: capsules that cross each other, of so many sides, m."""
     capsules = [(bone.head, bone.tail, bone.radius) for bone in BONES.values()] + list(SOFT_PARTS)
-    return together([tube([head, tail], [radius, radius], side=(0.3, 1.0, 0.2)) for head, tail, radius in capsules])
+    return together(
+        [tube([head, tail], [radius, radius], side=(0.3, 1.0, 0.2), sides=sides) for head, tail, radius in capsules]
+    )
 
 
 def bone_weights(points: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -8,10 +8,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from followthrough.benchmarking.emulator_speed import PUBLISHED, SHIPPED, Speeds, gflops, has_errors, speeds
+from followthrough.benchmarking.emulator_speed import PUBLISHED, SHIPPED, Speeds, gflops, speeds
 from followthrough.benchmarking.measurement import Result, SizeResult
 from followthrough.benchmarking.methods import TRUTH
 from followthrough.benchmarking.report import Benchmark, as_values, conditions, error_cell, heading, notes, row
+from followthrough.benchmarking.whole_frame import PARTS, WholeFrame
 from followthrough.npz_files import written_whole
 
 _HEADINGS = (
@@ -27,9 +28,10 @@ _HEADINGS = (
 )
 
 
-def speed_values(benchmark: Benchmark) -> dict[str, Any]:
-    """As `report.as_values`, with `speeds` at every size."""
+def speed_values(benchmark: Benchmark, whole_frames: list[WholeFrame]) -> dict[str, Any]:
+    """As `report.as_values`, with `speeds` at every size, and `whole_frames`."""
     values = as_values(benchmark)
+    values["whole_frames"] = [asdict(found) for found in whole_frames]
     for described, size in zip(values["sizes"], benchmark.sizes, strict=True):
         described["speeds"] = [asdict(found) for found in speeds(size)]
         for told, result in zip(described["results"], size.results, strict=True):
@@ -37,8 +39,8 @@ def speed_values(benchmark: Benchmark) -> dict[str, Any]:
     return values
 
 
-def speed_markdown(benchmark: Benchmark) -> str:
-    """A heading, a table and what follows from it for each size."""
+def speed_markdown(benchmark: Benchmark, whole_frames: list[WholeFrame]) -> str:
+    """A heading, a table and what follows from it for each size, and a table of whole frames."""
     blocks = list(conditions(benchmark.machine))
     blocks[-1] += "."
     for size in benchmark.sizes:
@@ -48,6 +50,8 @@ def speed_markdown(benchmark: Benchmark) -> str:
         blocks += list(skipped)
         blocks += [f"{name}: {note}." for name, note in notes(size)]
         blocks += [sentence for speed in found if (sentence := _sentence(speed))]
+    if whole_frames:
+        blocks += _whole_frames(whole_frames)
     blocks += [f"Left out: {what}." for what in benchmark.left_out]
     return "\n\n".join(blocks) + "\n"
 
@@ -98,9 +102,33 @@ def _table(size: SizeResult, peaks: dict[int, float | None]) -> str:
     return "\n".join(lines)
 
 
+def _whole_frames(found: list[WholeFrame]) -> list[str]:
+    counts = found[0]
+    lines = [
+        row(("threads", "ms a frame", "10th to 90th percentile", *PARTS)),
+        row(["---:"] * (3 + len(PARTS))),
+        *(
+            row(
+                [
+                    str(frame.threads),
+                    f"{frame.ms_median:.3g}",
+                    f"{frame.ms_low:.3g} to {frame.ms_high:.3g}",
+                    *(f"{frame.parts[part]:.3g}" for part in PARTS),
+                ]
+            )
+            for frame in found
+        ),
+    ]
+    return [
+        f"### A whole frame\n\nA character of {counts.surface_vertices:,} vertices, its volume of {counts.volume_vertices:,} "
+        f"({counts.free_vertices:,} of them free) moved by the shipped network; {counts.frames} frames. The parts are timed one by one.",
+        "\n".join(lines),
+    ]
+
+
 def _cells(result: Result, size: SizeResult, peak: float | None) -> list[str]:
     rate = gflops(result)
-    judged = has_errors(result.name)
+    judged = not math.isnan(result.single_frame)
     errors = ("truth", "truth") if result.name == TRUTH else (result.single_frame, result.rollout_all)
     return [
         result.name,
@@ -129,6 +157,11 @@ def _sentence(speed: Speeds) -> str:
         parts.append(f"the kernel is {speed.over_onnx_runtime:.2f} times as fast as ONNX Runtime")
     if speed.over_pytorch is not None:
         parts.append(f"the kernel is {speed.over_pytorch:.2f} times as fast as PyTorch")
+    if speed.bfloat16_over_onnx_runtime is not None and speed.bfloat16_over_pytorch is not None:
+        parts.append(
+            f"in bfloat16 it is {speed.bfloat16_over_onnx_runtime:.2f} times as fast as ONNX Runtime and "
+            f"{speed.bfloat16_over_pytorch:.2f} times as fast as PyTorch"
+        )
     if speed.speed_up is not None and speed.threads > 1:
         parts.append(f"the kernel is {speed.speed_up:.2f} times as fast as with one thread")
     if speed.shipped_share is not None:

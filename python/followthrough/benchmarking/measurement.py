@@ -26,6 +26,8 @@ from followthrough.solver import Solver
 LONGEST_FRAME = 60.0
 #: A method may take so many times its fair share of a size's seconds at most, and half of that for a frame.
 MOST_SHARES = 2.0
+#: Share of a size's seconds after which no further method is made; the frames get the rest.
+MOST_SETUP = 0.6
 
 Frames = Callable[[range], Iterable[int]]
 
@@ -49,7 +51,8 @@ class Result:
     frames
         That it was measured in, and finite for.
     single_frame
-        Root mean square error over all vertices (constrained ones included) and axes of every frame from true history, m.
+        Root mean square error over all vertices (constrained ones included) and axes of every frame from true history, m; NaN where
+        that says nothing about the method.
     rollout_24, rollout_all
         The same of the rollout, its first 24 frames and all; infinite where it exploded, None where there were fewer frames.
     largest
@@ -138,6 +141,8 @@ class _Lane:
         seconds = time.perf_counter() - begun
         self.spent += seconds
         self.milliseconds.append(1000 * seconds)
+        if self.threads > 1:
+            time.sleep(self.method.rest)
         self.exploded = not np.isfinite(self.positions).all()
         for name, amount in self.method.work(self.solver).items():
             self.work[name] += amount
@@ -199,7 +204,8 @@ def measure(
         Every method is timed with each of these numbers of threads.
     seconds
         Stops after the first frame that ends later than this. Leaves out methods that would take, and stops those that have taken,
-        more than their share.
+        more than their share, and leaves out the last ones where making the others has taken too long. The truth is stepped in any
+        case, but with one number of threads only where it would take more than its share.
     progress
         Wraps the range of frames, for example into a progress bar.
 
@@ -211,7 +217,7 @@ def measure(
     begun = time.perf_counter()
     usual = _core.threads()
     try:
-        lanes, skipped = _set_up(scene, methods, threads, seconds)
+        lanes, skipped = _set_up(scene, methods, threads, begun, seconds)
         frames = _run(scene, lanes, begun, seconds, progress)
     finally:
         _core.set_threads(usual)
@@ -219,8 +225,10 @@ def measure(
     singles = {lane.method.name: root_mean(lane.single) for lane in lanes if lane.judged}
     # The truth's own next frame is the truth.
     singles[TRUTH] = 0.0
-    measured = {(lane.method.name, lane.threads): lane.result(singles[lane.method.name]) for lane in lanes}
-    truth = next(lane for lane in lanes if lane.method.name == TRUTH)
+    measured = {
+        (lane.method.name, lane.threads): lane.result(singles.get(lane.method.name, float("nan"))) for lane in lanes
+    }
+    truth = _true_lane(lanes)
     return SizeResult(
         vertices=sequence.vertex_count,
         free_vertices=int(np.count_nonzero(~sequence.constrained)),
@@ -235,7 +243,7 @@ def measure(
 
 
 def _set_up(
-    scene: Scene, methods: list[Method], threads: list[int], seconds: float
+    scene: Scene, methods: list[Method], threads: list[int], begun_all: float, seconds: float
 ) -> tuple[list[_Lane], dict[tuple[str, int], Result]]:
     reference = scene.sequence.reference
     wanted = [(method, number) for method in methods for number in threads]
@@ -245,6 +253,11 @@ def _set_up(
     lanes: list[_Lane] = []
     skipped: dict[tuple[str, int], Result] = {}
     for method, number in wanted:
+        needed = method.name == TRUTH and number == threads[-1]
+        if not needed and time.perf_counter() - begun_all > MOST_SETUP * seconds:
+            reason = f"making the methods before it took {MOST_SETUP:.0%} of the time"
+            skipped[method.name, number] = Result(method.name, method.summary, number, skipped=reason)
+            continue
         _core.set_threads(number)
         try:
             begun = time.perf_counter()
@@ -261,12 +274,12 @@ def _set_up(
         except MethodUnavailableError as error:
             skipped[method.name, number] = Result(method.name, method.summary, number, skipped=str(error))
             continue
-        if expected > longest and method.name != TRUTH:
+        if expected > longest and not needed:
             reason = f"a frame takes {expected:.2g} s or more, and {longest:.2g} s fit the time"
             skipped[method.name, number] = Result(method.name, method.summary, number, skipped=reason)
             continue
         solver.reset(reference[0])
-        judged = method.name != TRUTH and all(lane.method.name != method.name for lane in lanes)
+        judged = method.has_errors and method.name != TRUTH and all(lane.method.name != method.name for lane in lanes)
         notes = [*(str(w.message) for w in caught), *method.notes(solver)]
         lanes.append(_Lane(method, number, solver, setup, notes, judged, reference[0]))
     return lanes, skipped
@@ -277,7 +290,7 @@ def _run(scene: Scene, lanes: list[_Lane], begun: float, seconds: float, progres
     count = scene.sequence.frame_count
     truth = np.empty_like(reference)
     truth[0] = reference[0]
-    true_lane = next(lane for lane in lanes if lane.method.name == TRUTH)
+    true_lane = _true_lane(lanes)
     done = 0
     for frame in progress(range(1, count)):
         ahead = reference[frame + 1] if frame + 1 < count else None
@@ -291,7 +304,7 @@ def _run(scene: Scene, lanes: list[_Lane], begun: float, seconds: float, progres
             lane.judge(truth, reference, ahead, frame)
         _require_same(lanes, frame)
         for lane in lanes:
-            if lane.method.name != TRUTH and not lane.stopped and lane.spent > MOST_SHARES / len(lanes) * seconds:
+            if lane is not true_lane and not lane.stopped and lane.spent > MOST_SHARES / len(lanes) * seconds:
                 lane.stopped = True
         done = frame
         if time.perf_counter() > begun + seconds:
@@ -302,6 +315,11 @@ def _run(scene: Scene, lanes: list[_Lane], begun: float, seconds: float, progres
                 f"stopped after {len(lane.rollout)} frames, as it had taken more than its share of the time; its errors are over these"
             )
     return done
+
+
+def _true_lane(lanes: list[_Lane]) -> _Lane:
+    """The one that the others are measured against: the last, which is there in any case."""
+    return [lane for lane in lanes if lane.method.name == TRUTH][-1]
 
 
 def _require_same(lanes: list[_Lane], frame: int) -> None:

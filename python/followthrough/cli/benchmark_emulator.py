@@ -15,8 +15,10 @@ from followthrough.benchmarking.emulator_report import speed_markdown, speed_val
 from followthrough.benchmarking.emulator_speed import measure_speed, published_weights
 from followthrough.benchmarking.machine import this_machine
 from followthrough.benchmarking.measurement import SizeResult
+from followthrough.benchmarking.methods import MethodUnavailableError
 from followthrough.benchmarking.report import Benchmark
 from followthrough.benchmarking.scene import LEAST_VERTICES, make_scene_of_free
+from followthrough.benchmarking.whole_frame import WholeFrame, measure_whole_frame
 from followthrough.cli.progress import with_progress
 from followthrough.emulator_weights import EmulatorWeights
 
@@ -33,7 +35,8 @@ def add_parser(subparsers: Any) -> None:
         help="time the emulator beside other runtimes and the finite elements",
         description="Time the native kernel on a network of the published size beside PyTorch and ONNX Runtime on the same weights, "
         "each with its fastest batching, the shipped network, and the finite elements; everything takes a frame before anything takes "
-        "the next, and so does the matrix product that the peak is measured with. What is not installed is left out, and that is said.",
+        "the next, and so does the matrix product that the peak is measured with. Then a whole frame of a character, with its parts. "
+        "What is not installed is left out, and that is said.",
     )
     # Options of the same name have defaults of their own here.
     parser.add_argument(
@@ -78,8 +81,15 @@ def run(args: argparse.Namespace) -> int:
     machine = this_machine()
     wanted = sorted(set(args.sizes))
     end = time.perf_counter() + args.seconds
+    whole_frames: list[WholeFrame] = []
     status = 0
     try:
+        try:
+            whole_frames = measure_whole_frame(
+                threads, args.frames, lambda frames: with_progress(frames, "a whole frame", quiet=args.quiet)
+            )
+        except MethodUnavailableError as error:
+            left_out.append(f"a whole frame, as {error}")
         for place, free in enumerate(wanted):
             begun = time.perf_counter()
             share = (end - begun) / (len(wanted) - place)
@@ -109,7 +119,8 @@ def run(args: argparse.Namespace) -> int:
     if args.plot is not None:
         write_speed_plot(benchmark, args.plot)
     print(
-        json.dumps(speed_values(benchmark)) if args.json else speed_markdown(benchmark), end="\n" if args.json else ""
+        json.dumps(speed_values(benchmark, whole_frames)) if args.json else speed_markdown(benchmark, whole_frames),
+        end="\n" if args.json else "",
     )
     return status
 

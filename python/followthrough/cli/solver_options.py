@@ -178,7 +178,8 @@ def add_emulator_arguments(parser: argparse.ArgumentParser) -> None:
     emulator.add_argument(
         "--precision",
         choices=PRECISIONS,
-        help="of the paper's network: float32 (default), or bfloat16, which is faster and coarser and needs a processor with AMX",
+        help="of the paper's network: float32 (default), or bfloat16, which is faster and coarser and needs a processor with AMX "
+        "or AMD's AVX-512 (from Zen 4 on)",
     )
 
 

@@ -9,10 +9,10 @@
 #include <atomic>
 #include <cstddef>
 
+#include "bfloat16_unit.hpp"
 #include "emulator/plain_newton.hpp"
 #include "emulator/random_network.hpp"
 #include "followthrough/emulator/patch_newton.hpp"
-#include "tile_unit.hpp"
 
 namespace {
 
@@ -39,8 +39,12 @@ TEST_CASE("a step of the patch network allocates nothing") {
   const int threads = omp_get_max_threads();
   omp_set_num_threads(1);
   const EmulatedBody body = block_of_cubes(6, 3, 3);
-  for (const Precision precision : {Precision::float32, Precision::bfloat16}) {
-    if (precision == Precision::bfloat16 && !has_tile_unit()) continue;
+  const Bfloat16Unit usual_unit = bfloat16_unit();
+  std::vector<Bfloat16Unit> units = available_bfloat16_units();
+  units.push_back(Bfloat16Unit::none);
+  for (const Bfloat16Unit unit : units) {
+    use_bfloat16_unit(unit);
+    const Precision precision = unit == Bfloat16Unit::none ? Precision::float32 : Precision::bfloat16;
     Emulator solver(body, random_network(2), {}, precision);
     std::vector<Positions> motion;
     for (int frame = 0; frame < 8; ++frame) motion.push_back(swinging(body.rest_positions, frame));
@@ -49,6 +53,7 @@ TEST_CASE("a step of the patch network allocates nothing") {
     for (const Positions& reference : motion) solver.step(reference);
     CHECK(allocations == before);
   }
+  use_bfloat16_unit(usual_unit);
   omp_set_num_threads(threads);
 }
 

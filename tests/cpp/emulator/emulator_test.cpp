@@ -8,13 +8,13 @@
 #include <cmath>
 #include <limits>
 
+#include "bfloat16_unit.hpp"
 #include "emulator/patch_kernel.hpp"
 #include "emulator/plain_emulator.hpp"
 #include "emulator/random_network.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
 #include "runs.hpp"
-#include "tile_unit.hpp"
 
 using namespace followthrough;
 
@@ -54,6 +54,11 @@ std::vector<Architecture> all_architectures() {
   return architectures;
 }
 
+struct UsualUnit {
+  Bfloat16Unit unit = bfloat16_unit();
+  ~UsualUnit() { use_bfloat16_unit(unit); }
+};
+
 }  // namespace
 
 TEST_CASE("the emulator is the plain network, with every architecture and instruction set") {
@@ -88,12 +93,9 @@ TEST_CASE("the emulator is the plain network, with every architecture and instru
   }
 }
 
-TEST_CASE("in bfloat16 the emulator is the plain network with rounded numbers, or refused where there is no unit for it") {
+TEST_CASE("in bfloat16 the emulator is the plain network with rounded numbers, on every unit") {
+  const UsualUnit usual;
   const EmulatedBody body = block_of_cubes(3, 2, 2);
-  if (!has_tile_unit()) {
-    CHECK_THROWS_WITH_AS(Emulator(body, random_network(0), {}, Precision::bfloat16), doctest::Contains("AMX"), InvalidInput);
-    return;
-  }
   std::vector<Architecture> architectures = all_architectures();
   architectures.push_back({{40, 64, 33, 20}, {64, 32, 16, 48, 20}, {100, 64, 130}, 2, true, true});
   architectures.push_back({{40, 50, 33}, {64, 70, 16}, {100, 90}, 2, true, true});
@@ -107,14 +109,29 @@ TEST_CASE("in bfloat16 the emulator is the plain network with rounded numbers, o
       return Positions(emulator.step(swinging(body.rest_positions, 1)));
     };
     const Positions exact = plain(Precision::float32), rounded = plain(Precision::bfloat16);
-    Emulator emulator(body, network, {}, Precision::bfloat16);
-    const Positions result = run(emulator, body.rest_positions, 1).front();
-    // Where a number is near to halfway between two of bfloat16, the last bits decide which it becomes, and later layers amplify
-    // that.
-    const Architecture& widths = architectures[a];
-    const bool deep = std::max({widths.inertia.size(), widths.force.size(), widths.displacement.size() + 1}) > 3;
-    CHECK((result - rounded).norm() < (deep ? 0.9 : 0.35) * (rounded - exact).norm() + 1e-5);
-    CHECK((result - exact).norm() < 0.01 * (exact - swinging(body.rest_positions, 1)).norm());
+    for (const Bfloat16Unit unit : available_bfloat16_units()) {
+      CAPTURE(static_cast<int>(unit));
+      use_bfloat16_unit(unit);
+      Emulator emulator(body, network, {}, Precision::bfloat16);
+      const Positions result = run(emulator, body.rest_positions, 1).front();
+      // Where a number is near to halfway between two of bfloat16, the last bits decide which it becomes, and later layers amplify
+      // that.
+      const Architecture& widths = architectures[a];
+      const bool deep = std::max({widths.inertia.size(), widths.force.size(), widths.displacement.size() + 1}) > 3;
+      CHECK((result - rounded).norm() < (deep ? 0.9 : 0.35) * (rounded - exact).norm() + 1e-5);
+      CHECK((result - exact).norm() < 0.01 * (exact - swinging(body.rest_positions, 1)).norm());
+    }
+  }
+}
+
+TEST_CASE("bfloat16 is refused where no unit is faster than single precision") {
+  const UsualUnit usual;
+  use_bfloat16_unit(Bfloat16Unit::none);
+  CHECK_THROWS_WITH_AS(Emulator(block_of_cubes(3, 2, 2), random_network(0), {}, Precision::bfloat16), doctest::Contains("AMX"),
+                       InvalidInput);
+  const std::vector<Bfloat16Unit> units = available_bfloat16_units();
+  for (const Bfloat16Unit unit : {Bfloat16Unit::pairs, Bfloat16Unit::tiles}) {
+    if (std::find(units.begin(), units.end(), unit) == units.end()) CHECK_THROWS_AS(use_bfloat16_unit(unit), InvalidInput);
   }
 }
 
@@ -125,8 +142,12 @@ TEST_CASE("the emulator does not depend on the number of threads") {
   architecture.force = {64, 48, 64};
   architecture.rings = 2;
   const PatchNetwork network = random_network(1, architecture);
-  for (const Precision precision : {Precision::float32, Precision::bfloat16}) {
-    if (precision == Precision::bfloat16 && !has_tile_unit()) continue;
+  const UsualUnit usual_unit;
+  std::vector<Bfloat16Unit> units = available_bfloat16_units();
+  units.push_back(Bfloat16Unit::none);
+  for (const Bfloat16Unit unit : units) {
+    use_bfloat16_unit(unit);
+    const Precision precision = unit == Bfloat16Unit::none ? Precision::float32 : Precision::bfloat16;
     std::vector<Positions> first;
     for (const int threads : {1, 2, 3, 4}) {
       omp_set_num_threads(threads);

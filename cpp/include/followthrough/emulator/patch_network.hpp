@@ -50,7 +50,7 @@ struct NetworkUnits {
 };
 
 /// How a network's hidden layers are computed: in single precision, or from numbers of 8 significant bits whose products are summed
-/// in single precision, which needs a processor with a unit for that (Intel's AMX, on Linux).
+/// in single precision, which needs a processor that does this faster (Intel's AMX, on Linux, or AMD's AVX-512 from Zen 4 on).
 enum class Precision { float32, bfloat16 };
 
 /// @throws InvalidInput where the layers do not fit each other or the inputs above, or hold a number that is not finite
