@@ -378,6 +378,7 @@ void ElasticBody::run_stiffness(const SingleBatchConstants& batch, const std::ar
   const Definiteness other = convex ? Definiteness::kSemidefinite : definiteness;
   SingleStiffness lanes;
   if (closed_form) {
+    std::fill_n(&lanes.blocks[10][0][0], 9 * single_lanes, 0.0f);  // what is to spare gets added up, too
     kernel.single_stiffness(batch, {corners->data(), count}, &positions.front().x, static_cast<float>(scale),
                             static_cast<float>(InvertibleStVK::smallest_stretch), convex, lanes);
     kernel.store_stiffness(lanes, count, to);

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 #include "elastic/lane_system.hpp"
 
+#include <omp.h>
+
 #include <algorithm>
 #include <cmath>
 
@@ -256,9 +258,12 @@ bool LaneSystem::assemble(const Fill& fill, bool renew_coarse) {
   renew_coarse = renew_coarse && coarse_;
   if (renew_coarse) std::fill(coarse_->sums.begin(), coarse_->sums.end(), 0.0f);
   float* const coarse = renew_coarse ? coarse_->sums.data() : nullptr;
-#pragma omp parallel num_threads(worthwhile_threads(slots, assembly_nanoseconds))
+  const int threads = worthwhile_threads(slots, assembly_nanoseconds);
+  workspaces_.resize(std::max(workspaces_.size(), static_cast<std::size_t>(threads)));
+#pragma omp parallel num_threads(threads)
   {
-    std::vector<float> stiffness(largest_part_ * stiffness_floats + single_lanes);
+    std::vector<float>& stiffness = workspaces_[static_cast<std::size_t>(omp_get_thread_num())];
+    stiffness.resize(largest_part_ * stiffness_floats + single_lanes);
 #pragma omp for schedule(static)
     for (std::int32_t part = 0; part < parts; ++part) {
       fill(static_cast<std::size_t>(part), stiffness.data());
@@ -314,12 +319,8 @@ double LaneSystem::stiffness_ratio() const {
   return ratio / static_cast<double>(row_count_);
 }
 
-LinearReport LaneSystem::solve(const Vector& b, double tolerance, int most_iterations, Vector& x) {
-  LinearReport report;
-  x.setZero(b.size());
-  const double size = b.norm();
-  report.converged = !(size > 0);
-  if (report.converged) return report;
+// The first direction, from b over its size.
+void LaneSystem::start(const Vector& b, double size, double (&sums)[2]) {
   const Kernels kernel = kernels();
   const LaneRows all = rows();
   const LaneVectors v = vectors();
@@ -327,10 +328,35 @@ LinearReport LaneSystem::solve(const Vector& b, double tolerance, int most_itera
   for (Eigen::Index row = 0; row < row_count_; ++row) {
     for (int axis = 0; axis < 3; ++axis) v.residual[axis * padded_ + row] = static_cast<float>(b[3 * row + axis] / size);
   }
-  double sums[2], product[2];
   summed([&](std::int32_t first, std::int32_t last, RowSums* part) { kernel.start(all, v, first, last, part); }, sums);
   sums[0] = correct(sums[0]);
   for_blocks([&](std::size_t, std::int32_t first, std::int32_t last) { kernel.turn(all, v, 0, first, last); });
+}
+
+Vector LaneSystem::preconditioned(const Vector& b) {
+  Vector z = Vector::Zero(b.size());
+  const double size = b.norm();
+  if (!(size > 0)) return z;
+  double sums[2];
+  start(b, size, sums);
+  const float* const direction = vectors().direction;
+  for (Eigen::Index row = 0; row < row_count_; ++row) {
+    for (int axis = 0; axis < 3; ++axis) z[3 * row + axis] = size * unit_ * static_cast<double>(direction[4 * row + axis]);
+  }
+  return z;
+}
+
+LinearReport LaneSystem::solve(const Vector& b, double tolerance, int most_iterations, Vector& x) {
+  LinearReport report;
+  x.setZero(b.size());
+  const double size = b.norm();
+  report.converged = !(size > 0);
+  if (report.converged) return report;
+  double sums[2], product[2];
+  start(b, size, sums);
+  const Kernels kernel = kernels();
+  const LaneRows all = rows();
+  const LaneVectors v = vectors();
   const double goal = tolerance * tolerance;
   while (report.iterations < most_iterations && !(sums[1] <= goal)) {
     summed([&](std::int32_t first, std::int32_t last, RowSums* part) { kernel.multiply(all, v, first, last, part); }, product);

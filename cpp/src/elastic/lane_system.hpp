@@ -40,6 +40,8 @@ class LaneSystem {
   double stiffness_ratio() const;
   /// As solve of BlockMatrix, with the last assembled matrix.
   LinearReport solve(const Vector& b, double tolerance, int most_iterations, Vector& x);
+  /// @return the preconditioner's inverse times b, in the matrix's own scale: where conjugate gradients go first
+  Vector preconditioned(const Vector& b);
 
   std::size_t slot_count() const { return columns_.size(); }
   /// Whether there is a coarse system: small bodies, and those whose last one was not positive definite, do without.
@@ -64,6 +66,7 @@ class LaneSystem {
   void find_coarse(const BlockMatrix& constant, std::size_t tets, const std::vector<std::int32_t>& places);
   void factor_coarse();
   double correct(double slope);
+  void start(const Vector& b, double size, double (&sums)[2]);
   LaneRows rows() const;
   LaneVectors vectors();
   template <typename Work>
@@ -80,6 +83,7 @@ class LaneSystem {
   std::int32_t part_groups_;
   std::size_t largest_part_ = 0;
   std::vector<float> masses_, blocks_, inverse_, vectors_;
+  std::vector<std::vector<float>> workspaces_;  // a part's stiffness, for each thread
   std::optional<Coarse> coarse_;
 };
 
