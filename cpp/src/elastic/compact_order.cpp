@@ -21,9 +21,8 @@ void halve(ConstPositions positions, std::ptrdiff_t smallest, std::ptrdiff_t lar
   std::ptrdiff_t run = largest;
   while (run >= count) run /= 2;
   const std::ptrdiff_t middle = std::max((count / 2 + run / 2) / run, std::ptrdiff_t{1}) * run;
-  std::nth_element(vertices.begin(), vertices.begin() + middle, vertices.end(), [&](Index a, Index b) {
-    return std::pair(positions(a, axis), a) < std::pair(positions(b, axis), b);
-  });
+  std::nth_element(vertices.begin(), vertices.begin() + middle, vertices.end(),
+                   [&](Index a, Index b) { return std::pair(positions(a, axis), a) < std::pair(positions(b, axis), b); });
   halve(positions, smallest, largest, vertices.first(middle));
   halve(positions, smallest, largest, vertices.subspan(middle));
 }

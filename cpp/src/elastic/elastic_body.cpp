@@ -369,9 +369,9 @@ bool ElasticBody::has_closed_stiffness(const Material& material, Definiteness de
 }
 
 // Of single_lanes elements at most: tets[k] is the number of the one with corners[k].
-void ElasticBody::run_stiffness(const SingleBatchConstants& batch, const std::array<Index, 4>* corners, const Index* tets, int count,
-                                const PaddedPositions& positions, const Material& material, Definiteness definiteness, double scale,
-                                float* to) const {
+void ElasticBody::run_stiffness(const SingleBatchConstants& batch, const std::array<Index, 4>* corners, const Index* tets,
+                                int count, const PaddedPositions& positions, const Material& material, Definiteness definiteness,
+                                double scale, float* to) const {
   const Kernels kernel = kernels();
   const bool convex = definiteness == Definiteness::kConvex;
   const bool closed_form = has_closed_stiffness(material, definiteness);

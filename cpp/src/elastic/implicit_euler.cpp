@@ -135,7 +135,7 @@ class ImplicitEuler::Step {
 
   Parts& p_;
   bool factored_ = false, iterative_ = true;
-  bool coarse_made_ = false;  // for this step: its first one serves all iterations, so that states resume
+  bool coarse_made_ = false;   // for this step: its first one serves all iterations, so that states resume
   int linear_iterations_ = 0;  // of the last solve
   ConstPositions reference_;
   const ConstPositions* prediction_;  // null: none

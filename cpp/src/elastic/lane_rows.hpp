@@ -20,15 +20,15 @@ inline constexpr std::int32_t aggregate_groups = 4;
 /// Slots of a group are 16 blocks, one of each of its rows; the first one is the diagonal. Where a row has no more neighbours its
 /// lane is the row itself with zeros.
 struct LaneRows {
-  std::int32_t padded;               ///< rows, a multiple of 16; those to spare are the identity
-  const std::int32_t* slot_starts;   ///< (groups + 1,)
-  const std::int32_t* columns;       ///< (slots, 16) four times the row: where its vector starts
-  const float* masses;               ///< (slots, 16) times the identity
-  const std::int32_t* share_starts;  ///< (32 slots + 1,) into share_blocks, two a lane: blocks as they are, blocks to transpose
-  const std::int32_t* share_blocks;  ///< places of elements' blocks in the stiffness
+  std::int32_t padded;                ///< rows, a multiple of 16; those to spare are the identity
+  const std::int32_t* slot_starts;    ///< (groups + 1,)
+  const std::int32_t* columns;        ///< (slots, 16) four times the row: where its vector starts
+  const float* masses;                ///< (slots, 16) times the identity
+  const std::int32_t* share_starts;   ///< (32 slots + 1,) into share_blocks, two a lane: blocks as they are, blocks to transpose
+  const std::int32_t* share_blocks;   ///< places of elements' blocks in the stiffness
   const std::int32_t* coarse_places;  ///< (slots, 16) where a block counts in the coarse sums; -1: nowhere
-  float* blocks;                     ///< (slots, 9, 16) row by row
-  float* inverse;                    ///< (groups, 6, 16) of the diagonal: xx yy zz xy xz yz
+  float* blocks;                      ///< (slots, 9, 16) row by row
+  float* inverse;                     ///< (groups, 6, 16) of the diagonal: xx yy zz xy xz yz
 };
 
 /// (3, padded) each, but direction, which other rows read: (padded, 4).

@@ -199,8 +199,9 @@ void LaneSystem::find_coarse(const BlockMatrix& constant, std::size_t tets, cons
     masses[block] += unit_ * constant.blocks()[k](0, 0);
     if (own != other || held[owners[k]]) coarse_places_[places[k]] = coarse_block * (held[owners[k]] ? blocks + block : block);
   }
-  coarse_.emplace(Coarse{std::move(matrix), std::move(factor), std::move(masses), std::vector<float>(2 * coarse_block * std::size_t(blocks)),
-                         std::vector<float>(3 * std::size_t(count)), std::vector<float>(3 * std::size_t(count)), Vector(3 * count), Vector(3 * count)});
+  coarse_.emplace(Coarse{std::move(matrix), std::move(factor), std::move(masses),
+                         std::vector<float>(2 * coarse_block * std::size_t(blocks)), std::vector<float>(3 * std::size_t(count)),
+                         std::vector<float>(3 * std::size_t(count)), Vector(3 * count), Vector(3 * count)});
 }
 
 LaneRows LaneSystem::rows() const {
@@ -220,8 +221,13 @@ LaneVectors LaneSystem::vectors() {
   const std::size_t size = 3 * static_cast<std::size_t>(padded_);
   float *const direction = vectors_.data(), *const first = direction + 4 * static_cast<std::size_t>(padded_);
   float* const restricted = has_coarse() ? coarse_->restricted.data() : nullptr;
-  return {first,      first + size, direction, first + 2 * size, first + 3 * size,
-          restricted, has_coarse() ? coarse_->corrections.data() : nullptr};
+  return {first,
+          first + size,
+          direction,
+          first + 2 * size,
+          first + 3 * size,
+          restricted,
+          has_coarse() ? coarse_->corrections.data() : nullptr};
 }
 
 // work(block, first group, one after its last)

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // A Newton system in single precision, 16 rows at a time: assembled straight from the elements' stiffness and solved by conjugate
-// gradients with the diagonal blocks and, beside them, a coarse system in which 64 rows that follow each other move as one. The same
-// bits for any number of threads and every instruction set.
+// gradients with the diagonal blocks and, beside them, a coarse system in which 64 rows that follow each other move as one. The
+// same bits for any number of threads and every instruction set.
 #pragma once
 
 #include <functional>
@@ -27,8 +27,8 @@ class LaneSystem {
 
   /// What the stiffness must be multiplied by, so that numbers stay near 1 whatever the units: one over the mean diagonal.
   double unit() const { return unit_; }
-  /// Parts that assemble asks for, one after the other in part_tets(): part k has those from part_starts()[k] to [k + 1]. Each starts
-  /// at a multiple of single_lanes and repeats its last tet up to the next one. Tets between parts are in each of them.
+  /// Parts that assemble asks for, one after the other in part_tets(): part k has those from part_starts()[k] to [k + 1]. Each
+  /// starts at a multiple of single_lanes and repeats its last tet up to the next one. Tets between parts are in each of them.
   const std::vector<std::size_t>& part_starts() const { return part_starts_; }
   const std::vector<Index>& part_tets() const { return part_tets_; }
   /// What puts the stiffness of a part's elements, stiffness_floats each, times unit(), where it is told. From many threads.
@@ -55,8 +55,8 @@ class LaneSystem {
   struct Coarse {
     BlockMatrix matrix;
     SparseCholesky factor;
-    std::vector<double> masses;         // of the matrix's blocks, times the identity
-    std::vector<float> sums;            // two lists of blocks: between others, and of rows beside something constrained
+    std::vector<double> masses;  // of the matrix's blocks, times the identity
+    std::vector<float> sums;     // two lists of blocks: between others, and of rows beside something constrained
     std::vector<float> restricted, corrections;
     Vector right, left;
     bool definite = false;

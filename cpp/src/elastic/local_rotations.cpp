@@ -41,9 +41,7 @@ void put(ConstPositions positions, std::vector<float>& to) {
 
 LocalRotations::LocalRotations(const std::vector<std::array<Index, 4>>& corners, Eigen::Index vertex_count,
                                std::vector<Index> vertices)
-    : vertices_(std::move(vertices)),
-      from_(4 * static_cast<std::size_t>(vertex_count)),
-      to_(from_.size()) {
+    : vertices_(std::move(vertices)), from_(4 * static_cast<std::size_t>(vertex_count)), to_(from_.size()) {
   std::vector<std::vector<Index>> neighbours(static_cast<std::size_t>(vertex_count));
   for (const std::array<Index, 4>& tet : corners) {
     for (const Index a : tet) {

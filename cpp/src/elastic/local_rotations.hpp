@@ -17,8 +17,8 @@ class LocalRotations {
   LocalRotations(const std::vector<std::array<Index, 4>>& corners, Eigen::Index vertex_count, std::vector<Index> vertices);
 
   /// @brief Turns values of the given vertices as their neighbourhoods turn between two poses: by the rotation that is nearest to
-  ///   the least squares fit of a linear map. Where the fit is flat or mirrored, values stay as they are. In single precision, which
-  ///   is a few millionths of the values; the same bits for any number of threads and every instruction set.
+  ///   the least squares fit of a linear map. Where the fit is flat or mirrored, values stay as they are. In single precision,
+  ///   which is a few millionths of the values; the same bits for any number of threads and every instruction set.
   /// @param from, to (n,3) poses
   /// @param values (n,3), changed in place
   void turn(ConstPositions from, ConstPositions to, Positions& values);

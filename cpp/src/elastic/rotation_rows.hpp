@@ -17,12 +17,12 @@ struct RotationRows {
   const std::int32_t* neighbours;   ///< (slots, 16)
 };
 
-// turn_rotation_rows turns values, (16 groups, 4), by the rotation that is nearest to the least squares fit of a linear map from one
-// pose, (n, 4), to the other. Where the fit is flat or mirrored, values stay as they are.
-#define FOLLOWTHROUGH_DECLARE_ROTATION_KERNELS(isa)                                                                            \
-  namespace isa {                                                                                                              \
-  void turn_rotation_rows(const RotationRows& rows, const float* from, const float* to, float* values, std::int32_t first,     \
-                          std::int32_t last) noexcept;                                                                         \
+// turn_rotation_rows turns values, (16 groups, 4), by the rotation that is nearest to the least squares fit of a linear map from
+// one pose, (n, 4), to the other. Where the fit is flat or mirrored, values stay as they are.
+#define FOLLOWTHROUGH_DECLARE_ROTATION_KERNELS(isa)                                                                        \
+  namespace isa {                                                                                                          \
+  void turn_rotation_rows(const RotationRows& rows, const float* from, const float* to, float* values, std::int32_t first, \
+                          std::int32_t last) noexcept;                                                                     \
   }
 FOLLOWTHROUGH_DECLARE_ROTATION_KERNELS(baseline)
 FOLLOWTHROUGH_DECLARE_ROTATION_KERNELS(avx2)

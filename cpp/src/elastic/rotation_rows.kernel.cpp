@@ -71,8 +71,8 @@ void turn_rotation_rows(const RotationRows& rows, const float* from, const float
       Lanes components[3];
       load_vectors(at, components);
       const Triple value{{components[0]}, {components[1]}, {components[2]}};
-      store_vectors(at, {sum_of_products(rotation.x, value).v, sum_of_products(rotation.y, value).v,
-                         sum_of_products(rotation.z, value).v});
+      store_vectors(
+          at, {sum_of_products(rotation.x, value).v, sum_of_products(rotation.y, value).v, sum_of_products(rotation.z, value).v});
     }
   }
 }

@@ -149,7 +149,7 @@ TEST_CASE("lanes say where a system is indefinite") {
   LaneSystem lanes(mass, s.body.corners().size());
   // The diagonal alone says so.
   CHECK_FALSE(assemble(s.body, s.block.vertices, Definiteness::kSemidefinite, -1e-3, lanes));
-  double scale = -1e-3;                    // just small enough for the diagonal: too large for the rest
+  double scale = -1e-3;  // just small enough for the diagonal: too large for the rest
   do {
     scale *= 0.9;
   } while (!assemble(s.body, s.block.vertices, Definiteness::kSemidefinite, scale, lanes));
