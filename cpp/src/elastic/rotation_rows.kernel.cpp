@@ -11,8 +11,8 @@ namespace {
 static_assert(kGroup == rotation_lanes);
 
 constexpr int most_iterations = 8;
-// Change of the square below which the rotation counts as found: the iteration converges quadratically.
-constexpr float small_change = 1e-9f;
+// Square of the change below which the rotation counts as found: a few units of the last place.
+constexpr float small_change = 1e-12f;
 // Share of the cube of its size below which a map's determinant counts as none.
 constexpr float smallest_determinant = 1e-6f;
 
@@ -44,9 +44,10 @@ inline Square nearest_rotation(const Square& map) {
     const Square inverse = turned * (one / sum_of_products(x.x, turned.x));
     const Real scale = root(root(sum_of_squares(inverse) / sum_of_squares(x)));
     const Square next = (x * scale + inverse * (one / scale)) * half;
-    const unsigned found = bits_of(sum_of_squares(next - x) < real(small_change));
-    x = next;
-    if (found == (1u << kLanes) - 1u) break;
+    // What is found stays, so that a lane does not depend on those beside it.
+    const LaneMask moves = real(small_change) < sum_of_squares(next - x);
+    x = choose(moves, next, x);
+    if (bits_of(moves) == 0) break;
   }
   return x;
 }
