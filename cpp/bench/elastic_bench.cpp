@@ -216,11 +216,12 @@ void factor_solve(benchmark::State& state) {
   }
 }
 
-// Arguments: edge in mm (185: 1,500 vertices, 100: 7,700, 55: 41,000), Young's modulus, ...
+// Arguments: edge in mm (185: 1,500 vertices, 100: 7,700, 72: 20,000, 55: 41,000), Young's modulus, ...
 BENCHMARK(against_plain_eigen)
     ->ArgNames({"edge", "modulus", "tight", "frames"})
     ->ArgsProduct({{185}, {50000, 5000000}, {0, 1}, {48}})
     ->ArgsProduct({{100}, {50000, 5000000}, {0}, {8}})
+    ->ArgsProduct({{72}, {50000, 5000000}, {0}, {4}})
     ->UseManualTime()
     ->Iterations(1)
     ->Unit(benchmark::kMillisecond);

@@ -107,6 +107,40 @@ def test_forces_are_the_slope_of_the_energy_and_stiffness_is_theirs(material: Ma
         assert np.sum(change * body.stiffness_product(x, change, semidefinite=True)) >= 0
 
 
+def test_a_tet_that_is_driven_through_the_clamp_and_turned_inside_out_comes_back() -> None:
+    # The apex moves straight through the base: one stretch t, and one equation that can be written down.
+    rest = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    modulus, density, volume = 2e4, 1000.0, 1 / 6
+    mu, lam = modulus / 2.9, modulus * 0.45 / (1.45 * 0.1)
+
+    def force(t: float) -> float:  # of the apex, along its way
+        s = max(t, 0.1)
+        return volume * ((2 * mu + lam) * s * (s * s - 1) / 2 - 1e5 * modulus * max(1 - s, 0) ** 2 / 576)
+
+    body = ElasticBody(rest, np.array([[0, 1, 2, 3]]), modulus, density=density)
+    for t in (1.2, 0.5, 0.1 + 1e-6, 0.1 - 1e-6, 0.02, -0.3, -0.9):
+        x = rest.copy()
+        x[3, 2] = t
+        expected = np.array([0, 0, force(t)])
+        np.testing.assert_allclose(body.internal_forces(x)[3], expected, atol=1e-9 * abs(force(0)))
+        up, down = x.copy(), x.copy()
+        up[3, 2], down[3, 2] = t + 1e-7, t - 1e-7
+        assert (body.energy(up) - body.energy(down)) / 2e-7 == pytest.approx(force(t), rel=1e-5)
+
+    solver = ImplicitEuler(body, np.array([True, True, True, False]), DT)
+    start = rest.copy()
+    start[3, 2] = -0.6
+    solver.reset(start)
+    way = [-0.6, -0.6]
+    for _ in range(120):
+        way.append(float(solver.step(rest)[3, 2]))
+        inertia = density * volume / 10 * (way[-1] - 2 * way[-2] + way[-3])  # the base does not move
+        assert inertia + DT**2 * force(way[-1]) == pytest.approx(0, abs=1e-8 * abs(inertia) + 1e-9)
+    assert min(way) == -0.6
+    assert any(0 < t < 0.1 for t in way) or any(a < 0.1 < b for a, b in itertools.pairwise(way))
+    assert way[-1] == pytest.approx(1, abs=1e-3)
+
+
 @pytest.mark.parametrize("material", ["invertible-stvk", "corotational"])
 def test_rigid_motions_give_no_force_and_forces_no_momentum(material: MaterialName) -> None:
     random = np.random.default_rng(3)

@@ -80,6 +80,21 @@ def test_a_little_violence(method: str, material: MaterialName, quality: Quality
     MISTREAT[method](material, quality, frames=10, burst=12)
 
 
+@pytest.mark.parametrize("modulus", [2e4, 1e7])
+def test_a_little_violence_on_a_body_with_a_coarse_system(modulus: float) -> None:
+    rest, tets = bar(12, 7, 6)
+    held = rest[:, 0] < 0.1
+    solver = ImplicitEuler(ElasticBody(rest, tets, modulus), held, DT, quality="preview")
+    motion = violent(rest, 12, 3)
+    solver.reset(next(motion))
+    for reference in motion:
+        check(solver.step(reference), reference, held, solver.last_step, 5e-2)
+    for _ in range(60):
+        x = solver.step(rest)
+        check(x, rest, held, solver.last_step, 5e-2)
+    assert np.abs(x - rest).max() < 2.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("quality", QUALITIES)
 @pytest.mark.parametrize("material", MATERIALS)

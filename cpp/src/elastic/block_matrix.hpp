@@ -35,6 +35,8 @@ class BlockMatrix {
   void add(const BlockMatrix& other) {
     for (std::size_t k = 0; k < blocks_.size(); ++k) blocks_[k] += other.blocks_[k];
   }
+  /// @param k place in blocks()
+  void set(Index k, const Block& block) { blocks_[k] = block; }
   void add_to_diagonal(Eigen::Index row, const Block& block) { blocks_[diagonal_[row]] += block; }
 
   /// y = this * x; both 3 numbers a row.

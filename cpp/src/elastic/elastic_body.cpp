@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <string>
 
 #include <Eigen/Dense>
@@ -101,7 +102,7 @@ Corners corner_gradients(const Matrix3d& gradients) {
 }  // namespace
 
 ElasticBody::ElasticBody(ConstPositions rest_positions, ConstTets tets, const ElasticConstants& constants)
-    : vertex_count_(rest_positions.rows()), lumped_mass_(Vector::Zero(rest_positions.rows())) {
+    : vertex_count_(rest_positions.rows()), rest_positions_(rest_positions), lumped_mass_(Vector::Zero(rest_positions.rows())) {
   require_finite("rest_positions", rest_positions);
   require_indices("tets", tets, vertex_count_);
   require_constants(constants, vertex_count_);
@@ -153,15 +154,15 @@ ElasticBody ElasticBody::around(ConstMask vertices) const {
 }
 
 template <typename Constants>
-void ElasticBody::fill_batches(std::vector<Constants>& batches) const {
+void ElasticBody::fill_batches(const std::vector<Index>& tets, std::vector<Constants>& batches) const {
   using Real = typename Constants::Real;
   constexpr std::size_t lanes = Constants::lanes;
-  batches.resize((elements_.size() + lanes - 1) / lanes);
-  for (std::size_t tet = 0; tet < batches.size() * lanes; ++tet) {
-    const Element& element = elements_[std::min(tet, elements_.size() - 1)];  // lanes to spare repeat the last one
-    Constants& batch = batches[tet / lanes];
-    const std::size_t lane = tet % lanes;
-    for (int k = 0; k < 9; ++k) batch.gradients[k][lane] = static_cast<Real>(element.gradients(k / 3, k % 3));
+  batches.resize((tets.size() + lanes - 1) / lanes);
+  for (std::size_t k = 0; k < batches.size() * lanes; ++k) {
+    const Element& element = elements_[tets[std::min(k, tets.size() - 1)]];  // lanes to spare repeat the last one
+    Constants& batch = batches[k / lanes];
+    const std::size_t lane = k % lanes;
+    for (int c = 0; c < 9; ++c) batch.gradients[c][lane] = static_cast<Real>(element.gradients(c / 3, c % 3));
     batch.mu[lane] = static_cast<Real>(element.constants.mu);
     batch.lambda[lane] = static_cast<Real>(element.constants.lambda);
     batch.compression_resistance[lane] = static_cast<Real>(element.constants.compression_resistance);
@@ -171,8 +172,10 @@ void ElasticBody::fill_batches(std::vector<Constants>& batches) const {
 
 // Puts the elements into batches and the batches into colours.
 void ElasticBody::arrange() {
-  fill_batches(batches_);
-  fill_batches(single_batches_);
+  std::vector<Index> all(elements_.size());
+  std::iota(all.begin(), all.end(), 0);
+  fill_batches(all, batches_);
+  fill_batches(all, single_batches_);
   masses_.clear();
   for (const Element& element : elements_) masses_.push_back(element.mass);
   ElementColors colors = color_elements(corners_, vertex_count_);
@@ -361,38 +364,69 @@ void ElasticBody::for_stiffness_blocks(std::size_t tet, const Matrix3d& gradient
 
 std::size_t ElasticBody::stiffness_size() const { return elements_.size() * stiffness_floats + single_lanes; }
 
+bool ElasticBody::has_closed_stiffness(const Material& material, Definiteness definiteness) {
+  return has_closed_form(material) && definiteness != Definiteness::kSemidefinite;
+}
+
+// Of single_lanes elements at most: tets[k] is the number of the one with corners[k].
+void ElasticBody::run_stiffness(const SingleBatchConstants& batch, const std::array<Index, 4>* corners, const Index* tets,
+                                int count, const PaddedPositions& positions, const Material& material, Definiteness definiteness,
+                                double scale, float* to) const {
+  const Kernels kernel = kernels();
+  const bool convex = definiteness == Definiteness::kConvex;
+  const bool closed_form = has_closed_stiffness(material, definiteness);
+  const Definiteness other = convex ? Definiteness::kSemidefinite : definiteness;
+  SingleStiffness lanes;
+  if (closed_form) {
+    std::fill_n(&lanes.blocks[10][0][0], 9 * single_lanes, 0.0f);  // what is to spare gets added up, too
+    kernel.single_stiffness(batch, {corners->data(), count}, &positions.front().x, static_cast<float>(scale),
+                            static_cast<float>(InvertibleStVK::smallest_stretch), convex, lanes);
+    kernel.store_stiffness(lanes, count, to);
+  }
+  for (int lane = 0; lane < count; ++lane, to += stiffness_floats) {
+    if (closed_form && lanes.inside[lane] != 0) continue;
+    const auto tet = static_cast<std::size_t>(tets[lane]);
+    for_stiffness_blocks(tet, deformation_gradient(tet, positions), material, other, scale,
+                         [&](int a, int b, const Matrix3d& block) {
+                           const auto* const pair = std::find_if(std::begin(stiffness_corners), std::end(stiffness_corners),
+                                                                 [&](const int (&p)[2]) { return p[0] == a && p[1] == b; });
+                           float* const at = to + 9 * (pair - std::begin(stiffness_corners));
+                           for (int k = 0; k < 9; ++k) at[k] = static_cast<float>(block(k / 3, k % 3));
+                         });
+  }
+}
+
 void ElasticBody::element_stiffness(const PaddedPositions& positions, const Material& material, Definiteness definiteness,
                                     double scale, std::vector<float>& stiffness) const {
   require_rows("positions", static_cast<Eigen::Index>(positions.size()), vertex_count_);
   require_rows("stiffness", static_cast<Eigen::Index>(stiffness.size()), static_cast<Eigen::Index>(stiffness_size()));
-  const Kernels kernel = kernels();
-  const bool convex = definiteness == Definiteness::kConvex;
-  const bool closed_form = has_closed_form(material) && definiteness != Definiteness::kSemidefinite;
-  const Definiteness other = convex ? Definiteness::kSemidefinite : definiteness;
   const auto runs = static_cast<std::ptrdiff_t>(single_batches_.size());
+  const bool closed_form = has_closed_stiffness(material, definiteness);
   const double nanoseconds = single_lanes * (closed_form ? single_stiffness_nanoseconds : decomposed_nanoseconds);
 #pragma omp parallel for schedule(static) num_threads(worthwhile_threads(runs, nanoseconds))
   for (std::ptrdiff_t index = 0; index < runs; ++index) {
     const std::size_t first = static_cast<std::size_t>(index) * single_lanes;
-    const ElementRun run{corners_[first].data(), static_cast<int>(std::min<std::size_t>(single_lanes, elements_.size() - first))};
-    SingleStiffness lanes{};
-    if (closed_form) {
-      kernel.single_stiffness(single_batches_[static_cast<std::size_t>(index)], run, &positions.front().x,
-                              static_cast<float>(scale), static_cast<float>(InvertibleStVK::smallest_stretch), convex, lanes);
-      kernel.store_stiffness(lanes, run.count, stiffness.data() + first * stiffness_floats);
-    }
-    for (int lane = 0; lane < run.count; ++lane) {
-      if (closed_form && lanes.inside[lane] != 0) continue;
-      const std::size_t tet = first + static_cast<std::size_t>(lane);
-      float* const to = stiffness.data() + tet * stiffness_floats;
-      for_stiffness_blocks(tet, deformation_gradient(tet, positions), material, other, scale,
-                           [&](int a, int b, const Matrix3d& block) {
-                             const auto* const pair = std::find_if(std::begin(stiffness_corners), std::end(stiffness_corners),
-                                                                   [&](const int (&p)[2]) { return p[0] == a && p[1] == b; });
-                             float* const at = to + 9 * (pair - std::begin(stiffness_corners));
-                             for (int k = 0; k < 9; ++k) at[k] = static_cast<float>(block(k / 3, k % 3));
-                           });
-    }
+    const std::size_t count = std::min<std::size_t>(single_lanes, elements_.size() - first);
+    Index tets[single_lanes];
+    for (int lane = 0; lane < single_lanes; ++lane) tets[lane] = static_cast<Index>(first) + lane;
+    run_stiffness(single_batches_[static_cast<std::size_t>(index)], &corners_[first], tets, static_cast<int>(count), positions,
+                  material, definiteness, scale, stiffness.data() + first * stiffness_floats);
+  }
+}
+
+ElasticBody::Selection ElasticBody::select(const std::vector<Index>& tets) const {
+  Selection selection{tets, {}, {}};
+  for (const Index tet : tets) selection.corners.push_back(corners_[tet]);
+  fill_batches(tets, selection.batches);
+  return selection;
+}
+
+void ElasticBody::element_stiffness(const Selection& selection, std::size_t first, std::size_t last,
+                                    const PaddedPositions& positions, const Material& material, Definiteness definiteness,
+                                    double scale, float* to) const {
+  for (std::size_t tet = first; tet < last; tet += single_lanes, to += single_lanes * stiffness_floats) {
+    run_stiffness(selection.batches[tet / single_lanes], &selection.corners[tet], &selection.tets[tet], single_lanes, positions,
+                  material, definiteness, scale, to);
   }
 }
 

@@ -7,8 +7,10 @@
 #include <string>
 
 #include "elastic/block_matrix.hpp"
+#include "elastic/compact_order.hpp"
 #include "elastic/conjugate_gradients.hpp"
 #include "elastic/descent.hpp"
+#include "elastic/element_batch.hpp"
 #include "elastic/lane_system.hpp"
 #include "elastic/local_rotations.hpp"
 #include "elastic/sparse_cholesky.hpp"
@@ -87,7 +89,8 @@ struct ImplicitEuler::Parts {
   ExternalForces forces;
   std::vector<Index> rows, free;  // row of every vertex or -1; vertex of every row
   LaneSystem lanes;
-  std::vector<float> stiffness, damping;  // of the elements; damping: none, mostly
+  ElasticBody::Selection selection;       // as the lanes' parts need them
+  std::vector<float> stiffness, damping;  // of all elements; none, mostly: only without a closed form, and with damping
   SparseCholesky factor;
   std::optional<Assembled> assembled;
   BlockDiagonal diagonal;
@@ -107,7 +110,7 @@ class ImplicitEuler::Step {
     inertial_ = 2 * p_.positions - p_.before;
     inertial_.rowwise() += square * p_.forces.gravity.transpose();
     if (p_.forces.stiffness_damping > 0) {
-      p_.damping.resize(p_.stiffness.size());
+      p_.damping.resize(p_.body.stiffness_size());
       pad(p_.positions);
       p_.body.element_stiffness(p_.evaluation.positions, *p_.material, Definiteness::kSemidefinite,
                                 p_.dt * p_.forces.stiffness_damping * p_.lanes.unit(), p_.damping);
@@ -121,7 +124,7 @@ class ImplicitEuler::Step {
   Trial evaluate(Positions positions) const;
   Trial start() const;
   bool within_tolerance(const Trial& trial) const { return trial.relative <= p_.newton.tolerance; }
-  bool assemble_lanes(const Positions& positions, Definiteness definiteness) const;
+  bool assemble_lanes(const Positions& positions, Definiteness definiteness);
   const BlockMatrix& assemble(const Positions& positions, Definiteness definiteness) const;
   std::optional<Vector> direction(const Trial& from, double linear_tolerance, Definiteness definiteness);
   double factor_iteration() const;
@@ -132,6 +135,7 @@ class ImplicitEuler::Step {
 
   Parts& p_;
   bool factored_ = false, iterative_ = true;
+  bool coarse_made_ = false;   // for this step: its first one serves all iterations, so that states resume
   int linear_iterations_ = 0;  // of the last solve
   ConstPositions reference_;
   const ConstPositions* prediction_;  // null: none
@@ -247,11 +251,27 @@ void ImplicitEuler::Step::pad(const Positions& positions) const {
 }
 
 // False where the matrix is not positive definite for certain.
-bool ImplicitEuler::Step::assemble_lanes(const Positions& positions, Definiteness definiteness) const {
+bool ImplicitEuler::Step::assemble_lanes(const Positions& positions, Definiteness definiteness) {
   pad(positions);
-  p_.body.element_stiffness(p_.evaluation.positions, *p_.material, definiteness, p_.dt * p_.dt * p_.lanes.unit(), p_.stiffness);
-  for (std::size_t k = 0; k < p_.damping.size(); ++k) p_.stiffness[k] += p_.damping[k];
-  return p_.lanes.assemble(p_.stiffness);
+  const double scale = p_.dt * p_.dt * p_.lanes.unit();
+  const PaddedPositions& at = p_.evaluation.positions;
+  const bool closed_form = ElasticBody::has_closed_stiffness(*p_.material, definiteness);
+  if (!closed_form) {
+    p_.stiffness.resize(p_.body.stiffness_size());
+    p_.body.element_stiffness(at, *p_.material, definiteness, scale, p_.stiffness);
+  }
+  const auto fill = [&](std::size_t part, float* to) {
+    const std::size_t first = p_.lanes.part_starts()[part], last = p_.lanes.part_starts()[part + 1];
+    if (closed_form) p_.body.element_stiffness(p_.selection, first, last, at, *p_.material, definiteness, scale, to);
+    for (std::size_t k = first; k < last; ++k, to += stiffness_floats) {
+      const std::size_t from = static_cast<std::size_t>(p_.selection.tets[k]) * stiffness_floats;
+      if (!closed_form) std::copy_n(&p_.stiffness[from], stiffness_floats, to);
+      for (int c = 0; c < stiffness_floats && !p_.damping.empty(); ++c) to[c] += p_.damping[from + c];
+    }
+  };
+  const bool definite = p_.lanes.assemble(fill, !coarse_made_);
+  coarse_made_ = coarse_made_ || definite;
+  return definite;
 }
 
 const BlockMatrix& ImplicitEuler::Step::assemble(const Positions& positions, Definiteness definiteness) const {
@@ -394,12 +414,15 @@ ImplicitEuler::ImplicitEuler(const ElasticBody& body, std::shared_ptr<const Mate
   std::vector<Index> rows(static_cast<std::size_t>(count), -1), free;
   for (Eigen::Index v = 0; v < count; ++v) {
     if (constrained[v] || body.lumped_mass()[v] == 0) continue;
-    rows[v] = static_cast<Index>(free.size());
     free.push_back(static_cast<Index>(v));
   }
   if (free.empty()) throw InvalidInput("constrained", "found no free vertex, expected at least one");
+  order_compactly(body.rest_positions(), row_lanes, LaneSystem::part_rows, free);
+  for (std::size_t row = 0; row < free.size(); ++row) rows[free[row]] = static_cast<Index>(row);
   const BlockMatrix constant = constant_part(body, dt, forces, rows);
   LocalRotations rotations(body.corners(), count, free);
+  LaneSystem lanes(constant, body.corners().size());
+  ElasticBody::Selection selection = body.select(lanes.part_tets());
   parts_ = std::make_unique<Parts>(Parts{body,
                                          std::move(material),
                                          dt,
@@ -407,8 +430,9 @@ ImplicitEuler::ImplicitEuler(const ElasticBody& body, std::shared_ptr<const Mate
                                          forces,
                                          std::move(rows),
                                          std::move(free),
-                                         LaneSystem(constant, body.corners().size()),
-                                         std::vector<float>(body.stiffness_size()),
+                                         std::move(lanes),
+                                         std::move(selection),
+                                         {},
                                          {},
                                          SparseCholesky(constant),
                                          {},

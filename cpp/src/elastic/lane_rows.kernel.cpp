@@ -2,6 +2,7 @@
 // Products are rounded before they are added, fused nowhere, so that all instruction sets give the same bits.
 #include "elastic/lane_rows.hpp"
 
+#include "block_lanes.hpp"
 #include "lane_algebra.hpp"
 
 namespace followthrough::FOLLOWTHROUGH_ISA {
@@ -35,9 +36,17 @@ inline void add_turned_blocks(const float* stiffness, const std::int32_t* first,
   }
 }
 
-inline Triple gather_triple(const float* from, std::int32_t stride, const std::int32_t* index) {
-  return {{gather(from, index)}, {gather(from + stride, index)}, {gather(from + 2 * static_cast<std::int64_t>(stride), index)}};
+inline Triple gather_triple(const float* from, const std::int32_t* starts) {
+  Lanes components[3];
+  load_vectors(from, starts, components);
+  return {{components[0]}, {components[1]}, {components[2]}};
 }
+inline Triple load_triple(const float* from) {
+  Lanes components[3];
+  load_vectors(from, components);
+  return {{components[0]}, {components[1]}, {components[2]}};
+}
+inline void store(float* to, Triple a) { store_vectors(to, {a.x.v, a.y.v, a.z.v}); }
 
 // Inverts a group's diagonal blocks; false where one of them is not positive definite.
 inline bool invert_diagonal(const float* block, float* inverse) {
@@ -60,6 +69,41 @@ inline void clear(RowSums* sums) {
 }
 inline void add_to(float* sum, Real value) { store(sum, load_real(sum) + value); }
 
+// Sums of the residual over an aggregate, lane by lane until it ends.
+struct AggregateSums {
+  float lanes[3][kGroup];
+  void clear() {
+    for (auto& axis : lanes) {
+      for (float& lane : axis) lane = 0.0f;
+    }
+  }
+  void add(int lane, Triple value) {
+    add_to(&lanes[0][lane], value.x);
+    add_to(&lanes[1][lane], value.y);
+    add_to(&lanes[2][lane], value.z);
+  }
+  void fold_into(float* to) {
+    for (int axis = 0; axis < 3; ++axis) {
+      for (int half = kGroup / 2; half > 0; half /= 2) {
+        for (int lane = 0; lane < half; ++lane) lanes[axis][lane] += lanes[axis][lane + half];
+      }
+      to[axis] = lanes[axis][0];
+    }
+  }
+};
+
+// Calls work(row, lane, sums of the aggregate) for all rows, kLanes at a time.
+template <typename Work>
+inline void for_aggregates(float* restricted, std::int32_t first, std::int32_t last, const Work& work) {
+  AggregateSums sums;
+  for (std::int64_t group = first; group < last; ++group) {
+    if (group == first || group % aggregate_groups == 0) sums.clear();
+    for (int lane = 0; lane < kGroup; lane += kLanes) work(group, lane, sums);
+    const bool ends = group + 1 == last || (group + 1) % aggregate_groups == 0;
+    if (restricted && ends) sums.fold_into(restricted + group / aggregate_groups * 3);
+  }
+}
+
 }  // namespace
 
 void store_stiffness(const SingleStiffness& lanes, int count, float* to) noexcept {
@@ -74,7 +118,8 @@ void store_stiffness(const SingleStiffness& lanes, int count, float* to) noexcep
   }
 }
 
-bool assemble_lane_rows(const LaneRows& rows, const float* stiffness, std::int32_t first, std::int32_t last) noexcept {
+bool assemble_lane_rows(const LaneRows& rows, const float* stiffness, float* coarse_sums, std::int32_t first,
+                        std::int32_t last) noexcept {
   float lanes[kGroup][kGroup], columns[kGroup][kGroup];
   bool definite = true;
   for (std::int64_t group = first; group < last; ++group) {
@@ -83,6 +128,12 @@ bool assemble_lane_rows(const LaneRows& rows, const float* stiffness, std::int32
       for (int lane = 0; lane < kGroup; ++lane, starts += 2) {
         add_blocks(stiffness, rows.share_blocks + starts[0], rows.share_blocks + starts[1], lanes[lane]);
         add_turned_blocks(stiffness, rows.share_blocks + starts[1], rows.share_blocks + starts[2], lanes[lane]);
+      }
+      if (coarse_sums) {
+        for (int lane = 0; lane < kGroup; ++lane) {
+          const std::int32_t place = rows.coarse_places[slot * kGroup + lane];
+          if (place >= 0) add_block(coarse_sums + place, lanes[lane]);
+        }
       }
       transpose_group(lanes[0], kGroup, columns[0], kGroup);
       float* out = rows.blocks + slot * 9 * kGroup;
@@ -104,18 +155,17 @@ bool assemble_lane_rows(const LaneRows& rows, const float* stiffness, std::int32
 void start_lane_rows(const LaneRows& rows, const LaneVectors& v, std::int32_t first, std::int32_t last, RowSums* sums) noexcept {
   clear(sums);
   const Real zero = real(0.0f);
-  for (std::int64_t group = first; group < last; ++group) {
-    for (int lane = 0; lane < kGroup; lane += kLanes) {
-      const std::int64_t row = group * kGroup + lane;
-      const Triple residual = load_triple(v.residual + row, rows.padded);
-      const Triple next = product(load_symmetric(rows.inverse + group * 6 * kGroup + lane), residual);
-      store(v.preconditioned + row, rows.padded, next);
-      store(v.direction + row, rows.padded, next);
-      store(v.solution + row, rows.padded, Triple{zero, zero, zero});
-      add_to(&sums->sums[0][lane], sum_of_products(residual, next));
-      add_to(&sums->sums[1][lane], sum_of_products(residual, residual));
-    }
-  }
+  for_aggregates(v.restricted, first, last, [&](std::int64_t group, int lane, AggregateSums& aggregate) {
+    const std::int64_t row = group * kGroup + lane;
+    const Triple residual = load_triple(v.residual + row, rows.padded);
+    const Triple next = product(load_symmetric(rows.inverse + group * 6 * kGroup + lane), residual);
+    store(v.preconditioned + row, rows.padded, next);
+    store(v.direction + 4 * row, Triple{zero, zero, zero});
+    store(v.solution + row, rows.padded, Triple{zero, zero, zero});
+    aggregate.add(lane, residual);
+    add_to(&sums->sums[0][lane], sum_of_products(residual, next));
+    add_to(&sums->sums[1][lane], sum_of_products(residual, residual));
+  });
 }
 
 void multiply_lane_rows(const LaneRows& rows, const LaneVectors& v, std::int32_t first, std::int32_t last, RowSums* sums) noexcept {
@@ -126,12 +176,12 @@ void multiply_lane_rows(const LaneRows& rows, const LaneVectors& v, std::int32_t
       const std::int64_t row = group * kGroup + lane;
       Triple sum{zero, zero, zero};
       for (std::int64_t slot = rows.slot_starts[group]; slot < rows.slot_starts[group + 1]; ++slot) {
-        const Triple other = gather_triple(v.direction, rows.padded, rows.columns + slot * kGroup + lane);
+        const Triple other = gather_triple(v.direction, rows.columns + slot * kGroup + lane);
         const Square block = load_square(rows.blocks + slot * 9 * kGroup + lane, kGroup);
         sum = sum + Triple{sum_of_products(block.x, other), sum_of_products(block.y, other), sum_of_products(block.z, other)};
       }
       store(v.product + row, rows.padded, sum);
-      add_to(&sums->sums[0][lane], sum_of_products(load_triple(v.direction + row, rows.padded), sum));
+      add_to(&sums->sums[0][lane], sum_of_products(load_triple(v.direction + 4 * row), sum));
     }
   }
 }
@@ -140,26 +190,32 @@ void advance_lane_rows(const LaneRows& rows, const LaneVectors& v, float length,
                        RowSums* sums) noexcept {
   clear(sums);
   const Real step = real(length);
-  for (std::int64_t group = first; group < last; ++group) {
-    for (int lane = 0; lane < kGroup; lane += kLanes) {
-      const std::int64_t row = group * kGroup + lane;
-      store(v.solution + row, rows.padded,
-            load_triple(v.solution + row, rows.padded) + load_triple(v.direction + row, rows.padded) * step);
-      const Triple left = load_triple(v.residual + row, rows.padded) - load_triple(v.product + row, rows.padded) * step;
-      const Triple next = product(load_symmetric(rows.inverse + group * 6 * kGroup + lane), left);
-      store(v.residual + row, rows.padded, left);
-      store(v.preconditioned + row, rows.padded, next);
-      add_to(&sums->sums[0][lane], sum_of_products(left, next));
-      add_to(&sums->sums[1][lane], sum_of_products(left, left));
-    }
-  }
+  for_aggregates(v.restricted, first, last, [&](std::int64_t group, int lane, AggregateSums& aggregate) {
+    const std::int64_t row = group * kGroup + lane;
+    store(v.solution + row, rows.padded, load_triple(v.solution + row, rows.padded) + load_triple(v.direction + 4 * row) * step);
+    const Triple left = load_triple(v.residual + row, rows.padded) - load_triple(v.product + row, rows.padded) * step;
+    const Triple next = product(load_symmetric(rows.inverse + group * 6 * kGroup + lane), left);
+    store(v.residual + row, rows.padded, left);
+    store(v.preconditioned + row, rows.padded, next);
+    aggregate.add(lane, left);
+    add_to(&sums->sums[0][lane], sum_of_products(left, next));
+    add_to(&sums->sums[1][lane], sum_of_products(left, left));
+  });
 }
 
 void turn_lane_rows(const LaneRows& rows, const LaneVectors& v, float share, std::int32_t first, std::int32_t last) noexcept {
-  const Real part = real(share);
-  for (std::int64_t row = std::int64_t{first} * kGroup; row < std::int64_t{last} * kGroup; row += kLanes) {
-    store(v.direction + row, rows.padded,
-          load_triple(v.preconditioned + row, rows.padded) + load_triple(v.direction + row, rows.padded) * part);
+  const Real part = real(share), zero = real(0.0f);
+  for (std::int64_t group = first; group < last; ++group) {
+    Triple coarse{zero, zero, zero};
+    if (v.coarse) {
+      const float* const own = v.coarse + group / aggregate_groups * 3;
+      coarse = {real(own[0]), real(own[1]), real(own[2])};
+    }
+    for (int lane = 0; lane < kGroup; lane += kLanes) {
+      const std::int64_t row = group * kGroup + lane;
+      const Triple next = load_triple(v.preconditioned + row, rows.padded) + coarse;
+      store(v.direction + 4 * row, next + load_triple(v.direction + 4 * row) * part);
+    }
   }
 }
 

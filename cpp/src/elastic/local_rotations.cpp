@@ -2,57 +2,46 @@
 #include "elastic/local_rotations.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <utility>
 
-#include <Eigen/Dense>
-
+#include "elastic/rotation_rows.hpp"
+#include "instruction_set.hpp"
 #include "worthwhile_threads.hpp"
 
 namespace followthrough {
 namespace {
 
-using Eigen::Matrix3d;
-using Eigen::Vector3d;
+constexpr std::size_t lanes = rotation_lanes;
+constexpr double group_nanoseconds = 800;
 
-constexpr int most_iterations = 8;
-// Change below which the rotation counts as found: values are turned to start from, no more.
-constexpr double small_change = 1e-6;
-// Share of the cube of its size below which a map's determinant counts as none.
-constexpr double smallest_determinant = 1e-6;
-constexpr double vertex_nanoseconds = 300;
-
-Matrix3d cofactors(const Matrix3d& m) {
-  Matrix3d result;
-  result.col(0) = m.col(1).cross(m.col(2));
-  result.col(1) = m.col(2).cross(m.col(0));
-  result.col(2) = m.col(0).cross(m.col(1));
-  return result;
+decltype(&baseline::turn_rotation_rows) turn_kernel() {
+  switch (instruction_set()) {
+#ifdef FOLLOWTHROUGH_HAS_avx512
+    case InstructionSet::avx512:
+      return avx512::turn_rotation_rows;
+#endif
+#ifdef FOLLOWTHROUGH_HAS_avx2
+    case InstructionSet::avx2:
+      return avx2::turn_rotation_rows;
+#endif
+    default:
+      return baseline::turn_rotation_rows;
+  }
 }
 
-// Higham's Newton iteration, scaled [N. Higham, Computing the polar decomposition, 1986]: X becomes the mean of itself and its
-// inverse transpose.
-Matrix3d nearest_rotation(const Matrix3d& map) {
-  Matrix3d x = map;
-  const double size = x.norm();
-  if (!(x.determinant() > smallest_determinant * size * size * size)) return Matrix3d::Identity();
-  for (int iteration = 0; iteration < most_iterations; ++iteration) {
-    const Matrix3d turned = cofactors(x);
-    const Matrix3d inverse = turned / x.col(0).dot(turned.col(0));
-    const double scale = std::sqrt(inverse.norm() / x.norm());
-    const Matrix3d next = 0.5 * (scale * x + inverse / scale);
-    const double change = (next - x).squaredNorm();
-    x = next;
-    if (change < small_change * small_change) break;
+// Relative to their mean, so that single precision will do far from the origin.
+void put(ConstPositions positions, std::vector<float>& to) {
+  const Eigen::RowVector3d middle = positions.colwise().mean();
+  for (Eigen::Index v = 0; v < positions.rows(); ++v) {
+    for (int axis = 0; axis < 3; ++axis) to[4 * v + axis] = static_cast<float>(positions(v, axis) - middle[axis]);
   }
-  return x;
 }
 
 }  // namespace
 
 LocalRotations::LocalRotations(const std::vector<std::array<Index, 4>>& corners, Eigen::Index vertex_count,
                                std::vector<Index> vertices)
-    : vertices_(std::move(vertices)) {
+    : vertices_(std::move(vertices)), from_(4 * static_cast<std::size_t>(vertex_count)), to_(from_.size()) {
   std::vector<std::vector<Index>> neighbours(static_cast<std::size_t>(vertex_count));
   for (const std::array<Index, 4>& tet : corners) {
     for (const Index a : tet) {
@@ -61,27 +50,42 @@ LocalRotations::LocalRotations(const std::vector<std::array<Index, 4>>& corners,
       }
     }
   }
-  starts_.push_back(0);
-  for (const Index v : vertices_) {
-    std::vector<Index>& all = neighbours[v];
-    std::sort(all.begin(), all.end());
-    all.erase(std::unique(all.begin(), all.end()), all.end());
-    neighbours_.insert(neighbours_.end(), all.begin(), all.end());
-    starts_.push_back(static_cast<Index>(neighbours_.size()));
+  slot_starts_.push_back(0);
+  for (std::size_t first = 0; first < vertices_.size(); first += lanes) {
+    std::size_t most = 0;
+    for (std::size_t lane = 0; lane < lanes; ++lane) {
+      const Index v = vertices_[std::min(first + lane, vertices_.size() - 1)];
+      own_.push_back(4 * v);
+      std::vector<Index>& all = neighbours[v];
+      std::sort(all.begin(), all.end());
+      all.erase(std::unique(all.begin(), all.end()), all.end());
+      most = std::max(most, all.size());
+    }
+    for (std::size_t slot = 0; slot < most; ++slot) {
+      for (std::size_t lane = 0; lane < lanes; ++lane) {
+        const std::int32_t own = own_[first + lane];
+        const std::vector<Index>& all = neighbours[own / 4];
+        neighbours_.push_back(slot < all.size() ? 4 * all[slot] : own);
+      }
+    }
+    slot_starts_.push_back(slot_starts_.back() + static_cast<std::int32_t>(most));
   }
+  values_.resize(4 * own_.size());
 }
 
-void LocalRotations::turn(ConstPositions from, ConstPositions to, Positions& values) const {
-  const auto count = static_cast<std::ptrdiff_t>(vertices_.size());
-#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(count, vertex_nanoseconds))
-  for (std::ptrdiff_t k = 0; k < count; ++k) {
-    const Index v = vertices_[k];
-    Matrix3d map = Matrix3d::Zero();
-    for (Index n = starts_[k]; n < starts_[k + 1]; ++n) {
-      const Vector3d before = (from.row(neighbours_[n]) - from.row(v)).transpose();
-      map += (to.row(neighbours_[n]) - to.row(v)).transpose() * before.transpose();
-    }
-    values.row(v) = (nearest_rotation(map) * values.row(v).transpose()).transpose().eval();
+void LocalRotations::turn(ConstPositions from, ConstPositions to, Positions& values) {
+  put(from, from_);
+  put(to, to_);
+  for (std::size_t k = 0; k < vertices_.size(); ++k) {
+    for (int axis = 0; axis < 3; ++axis) values_[4 * k + axis] = static_cast<float>(values(vertices_[k], axis));
+  }
+  const auto kernel = turn_kernel();
+  const RotationRows rows{own_.data(), slot_starts_.data(), neighbours_.data()};
+  const auto groups = static_cast<std::int32_t>(slot_starts_.size()) - 1;
+#pragma omp parallel for schedule(static) num_threads(worthwhile_threads(groups, group_nanoseconds))
+  for (std::int32_t group = 0; group < groups; ++group) kernel(rows, from_.data(), to_.data(), values_.data(), group, group + 1);
+  for (std::size_t k = 0; k < vertices_.size(); ++k) {
+    for (int axis = 0; axis < 3; ++axis) values(vertices_[k], axis) = static_cast<double>(values_[4 * k + axis]);
   }
 }
 

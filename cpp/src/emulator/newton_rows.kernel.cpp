@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Lanes are rows of the matrix, so that a product needs no sum across lanes.
-#include "emulator/block_lanes.hpp"
+#include "block_lanes.hpp"
 #include "emulator/newton_kernel.hpp"
 #include "lane_algebra.hpp"
 

@@ -4,7 +4,7 @@
 // share (g_a . S g_b) 1 + mu ((g_a . g_b) F F^T + F g_b (F g_a)^T) + lambda F g_a (F g_b)^T + bulk A g_a (A g_b)^T, where the share
 // is 1 if S is positive definite and 0 if not. The energy is volume times E : S / 2 + resistance ((1 - J) / 12)^3, and below the
 // clamp what the clamped stress does from there.
-#include "emulator/block_lanes.hpp"
+#include "block_lanes.hpp"
 #include "emulator/newton_kernel.hpp"
 #include "lane_algebra.hpp"
 

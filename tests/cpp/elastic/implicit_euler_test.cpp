@@ -5,13 +5,16 @@
 #include <omp.h>
 
 #include <Eigen/Dense>
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <limits>
 
 #include "elastic/block_matrix.hpp"
 #include "elastic/blocks.hpp"
+#include "elastic/compact_order.hpp"
 #include "elastic/conjugate_gradients.hpp"
+#include "elastic/element_batch.hpp"
 #include "elastic/lane_system.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
@@ -40,6 +43,23 @@ Positions shaken(const Positions& rest, int frame) {
   reference.col(1).array() += 0.15 * std::sin(0.9 * frame);
   reference.col(2).array() += 0.1 * std::sin(0.5 * frame) * rest.col(0).array();
   return reference;
+}
+
+PaddedPositions padded(const Positions& positions) {
+  PaddedPositions all;
+  for (Eigen::Index v = 0; v < positions.rows(); ++v) all.push_back({positions(v, 0), positions(v, 1), positions(v, 2), 0});
+  return all;
+}
+
+// The system of the mass and so many times the stiffness.
+bool assemble(const ElasticBody& body, const Positions& positions, Definiteness definiteness, double scale, LaneSystem& lanes) {
+  const ElasticBody::Selection selection = body.select(lanes.part_tets());
+  const PaddedPositions at = padded(positions);
+  const auto fill = [&](std::size_t part, float* to) {
+    body.element_stiffness(selection, lanes.part_starts()[part], lanes.part_starts()[part + 1], at, InvertibleStVK(), definiteness,
+                           scale * lanes.unit(), to);
+  };
+  return lanes.assemble(fill, true);
 }
 
 }  // namespace
@@ -93,8 +113,6 @@ TEST_CASE("lanes hold the same system in single precision, elements beyond the c
   }
   Positions bent = shaken(s.block.vertices, 3);
   bent.row(bent.rows() - 1) = bent.row(0);  // inverts some elements
-  PaddedPositions padded;
-  for (Eigen::Index v = 0; v < bent.rows(); ++v) padded.push_back({bent(v, 0), bent(v, 1), bent(v, 2), 0});
   BlockMatrix matrix(s.body.corners(), rows);
   s.body.add_mass(1.0, matrix);
   LaneSystem lanes(matrix, s.body.corners().size());
@@ -109,9 +127,7 @@ TEST_CASE("lanes hold the same system in single precision, elements beyond the c
     REQUIRE(solve(exact, diagonal, b, 1e-10, 2000, expected).converged);
     for (const InstructionSet set : available_instruction_sets()) {
       use_instruction_set(set);
-      std::vector<float> stiffness(s.body.stiffness_size());
-      s.body.element_stiffness(padded, InvertibleStVK(), definiteness, 1e-3 * lanes.unit(), stiffness);
-      REQUIRE(lanes.assemble(stiffness));
+      REQUIRE(assemble(s.body, bent, definiteness, 1e-3, lanes));
       Vector x;
       REQUIRE(lanes.solve(b, 1e-5, 2000, x).converged);
       exact.multiply(x.data(), product.data());
@@ -128,24 +144,88 @@ TEST_CASE("lanes say where a system is indefinite") {
   const Scene s = scene(4, 2, 2);
   std::vector<Index> rows(static_cast<std::size_t>(s.body.vertex_count()));
   for (std::size_t v = 0; v < rows.size(); ++v) rows[v] = static_cast<Index>(v);
-  PaddedPositions padded;
-  for (Eigen::Index v = 0; v < s.block.vertices.rows(); ++v) {
-    padded.push_back({s.block.vertices(v, 0), s.block.vertices(v, 1), s.block.vertices(v, 2), 0});
-  }
   BlockMatrix mass(s.body.corners(), rows);
   s.body.add_mass(1.0, mass);
   LaneSystem lanes(mass, s.body.corners().size());
-  std::vector<float> stiffness(s.body.stiffness_size());
-  s.body.element_stiffness(padded, InvertibleStVK(), Definiteness::kSemidefinite, -1e-3 * lanes.unit(), stiffness);
-  CHECK_FALSE(lanes.assemble(stiffness));  // the diagonal alone says so
-  double scale = -1e-3;                    // just small enough for the diagonal: too large for the rest
+  // The diagonal alone says so.
+  CHECK_FALSE(assemble(s.body, s.block.vertices, Definiteness::kSemidefinite, -1e-3, lanes));
+  double scale = -1e-3;  // just small enough for the diagonal: too large for the rest
   do {
     scale *= 0.9;
-    s.body.element_stiffness(padded, InvertibleStVK(), Definiteness::kSemidefinite, scale * lanes.unit(), stiffness);
-  } while (!lanes.assemble(stiffness));
+  } while (!assemble(s.body, s.block.vertices, Definiteness::kSemidefinite, scale, lanes));
   Vector x;
   CHECK(lanes.solve(Vector::LinSpaced(3 * mass.row_count(), -1, 2), 1e-5, 2000, x).negative_curvature);
   CHECK(x.allFinite());
+}
+
+TEST_CASE("the coarse system is the matrix on aggregates, and leaves the answer as it is") {
+  const Scene s = scene(17, 9, 8);  // several parts
+  std::vector<Index> free, rows(static_cast<std::size_t>(s.body.vertex_count()), -1);
+  for (Index v = 0; v < s.body.vertex_count(); ++v) {
+    if (!s.constrained[v]) free.push_back(v);
+  }
+  order_compactly(s.body.rest_positions(), row_lanes, LaneSystem::part_rows, free);
+  for (std::size_t row = 0; row < free.size(); ++row) rows[free[row]] = static_cast<Index>(row);
+  const auto size = static_cast<Eigen::Index>(3 * free.size());
+  const Positions bent = shaken(s.block.vertices, 3) + 0.01 * Positions::Random(s.body.vertex_count(), 3);
+  BlockMatrix mass(s.body.corners(), rows);
+  s.body.add_mass(1.0, mass);
+  BlockMatrix exact = mass;
+  s.body.add_stiffness(bent, InvertibleStVK(), Definiteness::kConvex, 0.1, exact);
+  LaneSystem lanes(mass, s.body.corners().size());
+  REQUIRE(lanes.part_starts().size() > 3);
+  REQUIRE(assemble(s.body, bent, Definiteness::kConvex, 0.1, lanes));
+  REQUIRE(lanes.has_coarse());
+  LaneSystem plain = lanes;
+  plain.drop_coarse();
+
+  // Symmetric and positive definite.
+  const Vector a = Vector::Random(size), b = Vector::Random(size);
+  const Vector za = lanes.preconditioned(a), zb = lanes.preconditioned(b);
+  CHECK(a.dot(zb) == doctest::Approx(b.dot(za)).epsilon(1e-4).scale(a.norm() * zb.norm()));
+  CHECK(a.dot(za) > a.dot(plain.preconditioned(a)));
+  CHECK(a.dot(plain.preconditioned(a)) > 0);
+
+  // Exact where aggregates move as a whole: Galerkin's.
+  constexpr Eigen::Index aggregate = row_lanes * aggregate_groups;
+  Vector whole(size), force(size);
+  const Positions moves = Positions::Random(size / 3 / aggregate + 1, 3);
+  for (Eigen::Index row = 0; row < size / 3; ++row) whole.segment<3>(3 * row) = moves.row(row / aggregate).transpose();
+  exact.multiply(whole.data(), force.data());
+  const Vector found = lanes.preconditioned(force) - plain.preconditioned(force);
+  CHECK((found - whole).norm() < 1e-3 * whole.norm());
+
+  const InstructionSet usual = instruction_set();
+  Vector expected, first;
+  const LinearReport without = plain.solve(a, 1e-5, 2000, expected);
+  REQUIRE(without.converged);
+  for (const InstructionSet set : available_instruction_sets()) {
+    use_instruction_set(set);
+    REQUIRE(assemble(s.body, bent, Definiteness::kConvex, 0.1, lanes));
+    Vector x;
+    const LinearReport with = lanes.solve(a, 1e-5, 2000, x);
+    CHECK(with.converged);
+    CHECK(with.iterations < 0.8 * without.iterations);
+    CHECK((x - expected).norm() < 1e-3 * expected.norm());
+    if (first.size() == 0) first = x;
+    CHECK(x == first);
+  }
+  use_instruction_set(usual);
+}
+
+TEST_CASE("compactly ordered vertices form cubes of a grid") {
+  const TetBlock block = tet_block(7, 7, 15, 0.5);
+  std::vector<Index> vertices(8 * 8 * 16);
+  for (std::size_t v = 0; v < vertices.size(); ++v) vertices[v] = static_cast<Index>(v);
+  std::vector<Index> sorted = vertices;
+  order_compactly(block.vertices, 16, 128, sorted);
+  for (std::size_t first = 0; first < sorted.size(); first += 64) {
+    Positions run(64, 3);
+    for (Eigen::Index k = 0; k < 64; ++k) run.row(k) = block.vertices.row(sorted[first + static_cast<std::size_t>(k)]);
+    CHECK((run.colwise().maxCoeff() - run.colwise().minCoeff()).maxCoeff() == 1.5);
+  }
+  std::sort(sorted.begin(), sorted.end());
+  CHECK(sorted == vertices);
 }
 
 TEST_CASE("steps have the same bits for any number of threads, and resume from a state") {

@@ -83,6 +83,51 @@ TEST_CASE("beyond the clamp the stress's derivative is exact, too") {
   CHECK(clamped > 50);
 }
 
+TEST_CASE("beyond the clamp the stress is that of the energy with the stretches raised, turned back") {
+  // From the formulas in F alone: the slope of the energy, by differences, where the stretches are raised to 0.1.
+  const auto energy = [](const Matrix3d& f) {
+    const Matrix3d green = 0.5 * (f.transpose() * f - Matrix3d::Identity());
+    return constants.mu * green.squaredNorm() + 0.5 * constants.lambda * std::pow(green.trace(), 2) +
+           1e5 * 5e4 * std::pow(std::max(1 - f.determinant(), 0.0) / 12, 3);
+  };
+  std::mt19937 random(6);
+  std::uniform_real_distribution<double> large(0.3, 1.6), small(-1.2, 0.3);
+  int clamped = 0;
+  for (int trial = 0; trial < 100; ++trial) {
+    Vector3d stretches(large(random), large(random), small(random));
+    if (trial % 4 == 0) stretches = Vector3d(0.09, 0.05, -0.02);
+    if (std::abs(stretches[2]) > std::min(stretches[0], stretches[1])) continue;  // the smallest one has the sign
+    clamped += stretches[2] < 0.1;
+    const Matrix3d u = random_rotation(random), v = random_rotation(random);
+    const Matrix3d raised = stretches.cwiseMax(0.1).asDiagonal();
+    Matrix3d slope;
+    for (int k = 0; k < 9; ++k) {
+      Matrix3d change = Matrix3d::Zero();
+      change(k) = 1;
+      slope(k) = central_difference(energy, raised, change);
+    }
+    const Matrix3d f = u * stretches.asDiagonal() * v.transpose();
+    CHECK((stvk.stress(f, constants) - u * slope * v.transpose()).norm() < 1e-6 * (slope.norm() + constants.mu));
+  }
+  CHECK(clamped > 40);
+}
+
+TEST_CASE("energy and stress go on across the clamp, and the stress is the energy's slope on either side") {
+  const auto at = [](double stretch) { return Matrix3d(Vector3d(1.1, 0.8, stretch).asDiagonal()); };
+  const auto energy = [&](double stretch) { return stvk.energy_density(at(stretch), constants); };
+  const auto pull = [&](double stretch) { return stvk.stress(at(stretch), constants)(2, 2); };
+  const double h = 1e-6, clamp = InvertibleStVK::smallest_stretch, force = pull(clamp);
+  CHECK(clamp == 0.1);
+  CHECK(energy(clamp + 1e-12) == doctest::Approx(energy(clamp - 1e-12)).epsilon(1e-9));
+  CHECK((stvk.stress(at(clamp + 1e-12), constants) - stvk.stress(at(clamp - 1e-12), constants)).norm() < 1e-9 * std::abs(force));
+  CHECK((energy(clamp + h) - energy(clamp)) / h == doctest::Approx(force).epsilon(1e-4));
+  CHECK((energy(clamp) - energy(clamp - h)) / h == doctest::Approx(force).epsilon(1e-6));
+  for (const double stretch : {0.7, 0.3, 0.101, 0.099, 0.05, 0.0, -0.05, -0.4, -0.79}) {
+    CHECK((energy(stretch + h) - energy(stretch - h)) / (2 * h) == doctest::Approx(pull(stretch)).epsilon(1e-5));
+    if (stretch < clamp) CHECK(pull(stretch) == doctest::Approx(force).epsilon(1e-12));
+  }
+}
+
 TEST_CASE("the energy is St. Venant-Kirchhoff's, with the resistance to compression") {
   std::mt19937 random(3);
   for (int trial = 0; trial < 100; ++trial) {

@@ -50,6 +50,8 @@ class ElasticBody {
   ElasticBody around(ConstMask vertices) const;
 
   Eigen::Index vertex_count() const { return vertex_count_; }
+  /// (n,3) m
+  const Positions& rest_positions() const { return rest_positions_; }
   Eigen::Index tet_count() const { return static_cast<Eigen::Index>(elements_.size()); }
   /// Number of tets whose rest volume is negative: usual in volumes that a pose has squashed, worth a warning.
   Eigen::Index inverted_rest_tets() const { return inverted_rest_tets_; }
@@ -99,6 +101,21 @@ class ElasticBody {
   /// @throws InvalidInput on a wrong shape
   void element_stiffness(const PaddedPositions& positions, const Material& material, Definiteness definiteness, double scale,
                          std::vector<float>& stiffness) const;
+  /// Elements in an order of one's own, laid out for element_stiffness.
+  struct Selection {
+    std::vector<Index> tets;
+    std::vector<std::array<Index, 4>> corners;
+    std::vector<SingleBatchConstants> batches;
+  };
+  /// @param tets some of them more than once, a multiple of single_lanes
+  Selection select(const std::vector<Index>& tets) const;
+  /// Whether element_stiffness has a closed form: without it, an element takes a hundred times as long.
+  static bool has_closed_stiffness(const Material& material, Definiteness definiteness);
+  /// @brief As for all elements, for those of the selection from `first` on to `last`, both multiples of single_lanes. On the
+  /// caller's thread.
+  /// @param to (last - first) times stiffness_floats
+  void element_stiffness(const Selection& selection, std::size_t first, std::size_t last, const PaddedPositions& positions,
+                         const Material& material, Definiteness definiteness, double scale, float* to) const;
   /// Adds scale times the consistent mass matrix.
   void add_mass(double scale, BlockMatrix& matrix) const;
 
@@ -113,7 +130,7 @@ class ElasticBody {
 
   void arrange();
   template <typename Constants>
-  void fill_batches(std::vector<Constants>& batches) const;
+  void fill_batches(const std::vector<Index>& tets, std::vector<Constants>& batches) const;
   Eigen::Matrix3d deformation_gradient(std::size_t tet, ConstPositions positions) const;
   Eigen::Matrix3d deformation_gradient(std::size_t tet, const PaddedPositions& positions) const;
   friend class BackwardEulerForce;
@@ -129,9 +146,13 @@ class ElasticBody {
   void for_batches(double tet_nanoseconds, const Work& work) const;
   template <typename Work>
   void for_tets(double tet_nanoseconds, const Work& work) const;
+  void run_stiffness(const SingleBatchConstants& batch, const std::array<Index, 4>* corners, const Index* tets, int count,
+                     const PaddedPositions& positions, const Material& material, Definiteness definiteness, double scale,
+                     float* to) const;
   void load_edges(std::size_t batch, ConstPositions positions, ElementBatch& to) const;
 
   Eigen::Index vertex_count_;
+  Positions rest_positions_;
   Eigen::Index inverted_rest_tets_ = 0;
   double edge_length_ = 0;
   Vector lumped_mass_;
