@@ -24,6 +24,7 @@ from followthrough.emulator_weights import are_shipped
 from followthrough.secondary_motion import SecondaryMotion
 from followthrough.settings import Settings, VolumeSettings
 from followthrough.skinning import inverse_skin
+from followthrough.suggestions import pins_near_bones
 
 #: Of the skin: 13,916 vertices.
 SIDES = 124
@@ -134,12 +135,13 @@ def make_motion(sides: int = SIDES, cells: int = CELLS) -> SecondaryMotion:
     kept = np.take_along_axis(weights, bones, axis=1)
     rig = Rig(bones, kept / kept.sum(axis=1, keepdims=True), dancer.segments())
     count = len(skin.vertices)
-    paint = Paint(stiffness=np.zeros(count), mass=np.full(count, 0.5), pins=np.zeros(count))
+    surface = Surface(skin.vertices, skin.triangles, rig=rig)
+    paint = Paint(stiffness=np.zeros(count), mass=np.full(count, 0.5), pins=pins_near_bones(surface))
     # The capsules cross each other: one body, not parts that come near each other.
     settings = Settings(solver="emulator", volume=VolumeSettings(cells=cells, split_parts=False))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return SecondaryMotion(Surface(skin.vertices, skin.triangles, rig=rig), paint, settings, dancer.DT)
+        return SecondaryMotion(surface, paint, settings, dancer.DT)
 
 
 def measure_whole_frame(
