@@ -41,7 +41,7 @@ class NewtonSchedule:
     """
 
     iterations: tuple[int, ...] = (32, 32)
-    most_passes: int = 8
+    most_passes: int = 16
     tolerance: float = 1e-3
 
     def __post_init__(self) -> None:

@@ -653,6 +653,17 @@ void NewtonProblem::solve(int iterations) {
   }
 }
 
+double NewtonProblem::direction_length() const {
+  double square = 0;
+  for (std::int64_t axis = 0; axis < 3; ++axis) {
+    const float* along = solution.data() + axis * padded;
+    float sum = 0;
+    for (std::int32_t row = 0; row < free_count; ++row) sum += along[row] * along[row];
+    square += static_cast<double>(sum);
+  }
+  return free_count ? std::sqrt(square / (3.0 * free_count)) : 0.0;
+}
+
 // Constrained rows come after the padding.
 std::int32_t NewtonProblem::offset_row(std::int32_t row) const { return row < free_count ? row : row + padded - free_count; }
 

@@ -41,6 +41,8 @@ struct NewtonProblem {
   double assemble();
   /// Finds the direction; `slope` is that of the energy along it.
   void solve(int iterations);
+  /// Root mean square of the direction, in edges.
+  double direction_length() const;
   /// What the guide of the start, or of a pass that has been solved, is told: brought up to date by `record` of every row, where it
   /// is a pass's, and then `describe` of every group, in whatever order. `describe_start` and `describe_pass` do it all.
   GuideInputs start_inputs() const;

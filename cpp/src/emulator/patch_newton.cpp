@@ -174,11 +174,13 @@ void PatchNewton::Parts::take_guided_step(const PackedGuide& guide, bool of_pass
 
 // The last of the different passes is repeated.
 void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::size_t different, double enough) {
+  double reach = 1.0;
   for (int k = 0; k < count; ++k) {
     const double left = guard.evaluate();
-    if (!(left >= enough)) return;
+    if (!(left >= nothing_left && guard.expected_error(reach) >= enough)) return;
     const PackedPass& pass = first[std::min(static_cast<std::size_t>(k), different - 1)];
-    problem.solve(pass.iterations);
+    problem.solve(guard.iterations(pass.iterations));
+    reach = problem.direction_length() / left;
     const bool guided = !pass.guide.layers.empty();
     guard.before_step(guided, k + 1 == count);
     if (guided) {

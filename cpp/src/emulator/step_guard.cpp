@@ -22,6 +22,9 @@ constexpr double least_shortening = 0.1, greatest_shortening = 0.5;
 // Share of the slope that makes it worth while to go farther, and how much farther.
 constexpr double still_falling = 0.1, least_lengthening = 1.2, greatest_lengthening = 3.0;
 
+// Share of the residual that a step leaves where passes are slow; the most that is believed, as a step may also raise it.
+constexpr double slow_rate = 0.5, greatest_rate = 0.9;
+
 }  // namespace
 
 bool StepGuard::TakenStep::good(double energy_there, double left_there) const {
@@ -59,16 +62,28 @@ double StepGuard::lengthen(double left) {
   return problem_.energy < energy ? left : retake(1.0);
 }
 
+double StepGuard::expected_error(double reach) const {
+  return rate_ > 0.0 ? left_ * std::max(reach, 1.0) / (1.0 - std::min(rate_, greatest_rate)) : left_;
+}
+
 double StepGuard::evaluate() {
+  if (!taken_) return left_ = problem_.assemble();
+  const double before = taken_->left;
+  left_ = evaluate_step();
+  rate_ = before > 0.0 ? left_ / before : 0.0;
+  slow_ = slow_ || rate_ > slow_rate;
+  return left_;
+}
+
+double StepGuard::evaluate_step() {
   left_ = problem_.assemble();
-  if (!taken_) return left_;
   int retries = 0;
   for (; !taken_->good(problem_.energy, left_); ++retries) {
     if (retries == most_retries) {
       problem_.go_back_and_move(0.0);
       taken_.reset();
       problem_.assemble();
-      return left_ = 0.0;
+      return 0.0;
     }
     left_ = retake(taken_->share > 0.0 ? taken_->shorter_share(problem_.energy) : 1.0);
   }

@@ -15,12 +15,22 @@ class StepGuard {
   explicit StepGuard(NewtonProblem& problem) : problem_(problem) {}
 
   /// Of a frame: nothing has been taken yet.
-  void begin() { taken_.reset(); }
+  void begin() {
+    taken_.reset();
+    rate_ = 0;
+    slow_ = false;
+  }
   /// @brief Evaluates the estimate. Where the step that led to it makes the energy worse, the direction is taken instead, or the
   /// part of it that brings the energy down, or, where compression makes the energy a cubic, more than all of it.
   /// @return root mean square of the first preconditioned residual; 0 where nothing brought the energy down, so that nothing was
   /// moved
   double evaluate();
+  /// Of the conjugate gradients, where a pass is to have so many: twice as many once a step of the frame has left more than half of
+  /// the residual. Stiff bodies and thin limbs bend in ways that reach far, and those iterations have not come to.
+  int iterations(int of_pass) const { return slow_ ? 2 * of_pass : of_pass; }
+  /// @brief What the estimate is off by, in edges, if passes go on as the last one did: the sum of what they would do.
+  /// @param reach of the last pass's direction, over the residual that it was found for
+  double expected_error(double reach) const;
   /// The estimate, evaluated and solved, is about to be moved: by a guide's step or along the direction.
   /// @param last of the frame's passes: nothing smooths the ripples that it leaves
   void before_step(bool guided, bool last);
@@ -46,12 +56,14 @@ class StepGuard {
     double shorter_share(double energy_there) const;
   };
 
+  double evaluate_step();
   double retake(double share);
   double lengthen(double left);
 
   NewtonProblem& problem_;
   std::optional<TakenStep> taken_;  // not evaluated yet
-  double left_ = 0;
+  double left_ = 0, rate_ = 0;       // of the last step: the residual that it left, and over that before it
+  bool slow_ = false;                // a step of the frame left much
 };
 
 }  // namespace followthrough

@@ -115,6 +115,7 @@ class PlainNewton {
     const Positions x1 = reference / length_, &x0 = u[4];
     y_ = 2 * u[0] - u[1];
     z_ = y_;
+    slow_ = false;
     Positions w = x1 - x0 - u[0] + u[1];
     for (Eigen::Index v = 0; v < z_.rows(); ++v) {
       if (!body_.constrained[v]) continue;
@@ -235,7 +236,8 @@ class PlainNewton {
     for (int k = 0; k < schedule_.most_passes; ++k) {
       const NewtonPass& pass = schedule_.passes[std::min(static_cast<std::size_t>(k), schedule_.passes.size() - 1)];
       assemble();
-      solve(pass.iterations);
+      const double before = left_;
+      solve(slow_ ? 2 * pass.iterations : pass.iterations);
       if (pass.guide.empty()) {
         last = g_;
       } else {
@@ -245,6 +247,7 @@ class PlainNewton {
       }
       const double share = keep(last, !pass.guide.empty(), k + 1 == schedule_.most_passes);
       if (share == 0) break;
+      slow_ = slow_ || left_ > 0.5 * before;
       if (share > 0) last = share * g_;
     }
   }
@@ -383,6 +386,7 @@ class PlainNewton {
   std::vector<Positions> u_;  // u(t) to u(t-3), x(t) to x(t-2)
   Positions y_, z_, gradient_, g_, p_, l_;
   double energy_ = 0, left_ = 0, slope_ = 0;
+  bool slow_ = false;  // a step of the frame left more than half of the residual
 };
 
 }  // namespace followthrough

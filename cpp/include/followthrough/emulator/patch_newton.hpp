@@ -32,7 +32,7 @@ struct NewtonPass {
 struct NewtonSchedule {
   Guide start;                     ///< of 9 vectors and 4 numbers
   std::vector<NewtonPass> passes;  ///< the last one is repeated; none: the first estimate is the frame
-  int most_passes = 8;
+  int most_passes = 16;
   double tolerance = 1e-3;    ///< edges: passes end where the first preconditioned residual's root mean square is below it, or, in
                               ///< frames whose first step is shorter than a tenth of an edge, below as much less
   int extra_passes = 0;       ///< without a guide, after the others: each takes the frame nearer to backward Euler's own answer
