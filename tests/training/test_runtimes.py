@@ -42,7 +42,7 @@ def test_frames_agree_with_the_native_kernel(scene: Scene, kind: type, batching:
 def test_wrong_results_are_an_error(scene: Scene, kind: type, monkeypatch: pytest.MonkeyPatch) -> None:
     changes = kind.changes
     monkeypatch.setattr(runtimes, "CHUNKS", (None,))
-    assert fastest(scene, published_weights(), kind).tried == len(kind.LAYOUTS)
+    assert fastest(scene, published_weights(), kind).tried == str(len(kind.LAYOUTS))
     monkeypatch.setattr(kind, "changes", lambda *arguments: 1.01 * changes(*arguments))
     with pytest.raises(ValueError, match=f"{kind.__name__} .*from the native kernel's"):
         fastest(scene, published_weights(), kind)

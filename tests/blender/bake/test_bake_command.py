@@ -306,15 +306,15 @@ def test_killed_the_same_command_goes_on(character, tmp_path, capfd, monkeypatch
     monkeypatch.undo()  # the same paint as in the other process
     source, target, whole = save(tmp_path / "in.blend"), tmp_path / "out.blend", tmp_path / "whole.blend"
     options = ["--start", "1", "--end", "400", "--solver", "implicit-euler", *QUICK]
-    program = tmp_path / "program.py"  # stands still after the second time that it has saved
+    program = tmp_path / "program.py"  # stands still after the twentieth time that it has saved
     program.write_text(
         "import itertools, sys, time\n"
         "from followthrough.blender import bake_cache, bake_recovery\n"
         "from followthrough.cli import main\n"
-        "bake_recovery.SAVE_INTERVAL, save, count = 0.05, bake_cache.BakeCache.save, itertools.count(1)\n"
+        "bake_recovery.SAVE_INTERVAL, save, count = 0.0, bake_cache.BakeCache.save, itertools.count(1)\n"
         "def save_and_wait(*arguments):\n"
         "    save(*arguments)\n"
-        "    if next(count) == 2:\n"
+        "    if next(count) == 20:\n"
         "        print('saved', flush=True)\n"
         "        time.sleep(3600)\n"
         "bake_cache.BakeCache.save = save_and_wait\n"
