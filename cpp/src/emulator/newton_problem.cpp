@@ -9,6 +9,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <cstring>
 #include <map>
 #include <string>
@@ -288,6 +289,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
     fullness[size(row)] = static_cast<float>(edge_starts[size(row) + 1] - edge_starts[size(row)]) / 14.0f - 1.0f;
   }
   find_nearness(body);
+  find_islands();
   for (std::vector<double>* array : {&positions, &start, &inertial, &last}) array->assign(3 * size(row_count), 0.0);
   saved.assign(3 * size(free_count), 0.0);
   lane_sums.resize(size(parts));
@@ -525,6 +527,28 @@ void NewtonProblem::find_nearness(const NewtonBody& body) {
   nearness.assign(size(padded), 0.0f);
   for (std::int32_t row = 0; row < free_count; ++row) {
     nearness[size(row)] = 1.0f / static_cast<float>(1 + hops[size(vertices[size(row)])]);
+  }
+}
+
+// Numbers the parts of the graph of free rows.
+void NewtonProblem::find_islands() {
+  islands.assign(size(free_count), SIZE_MAX);
+  std::vector<std::int32_t> waiting;
+  for (std::int32_t first_row = 0; first_row < free_count; ++first_row) {
+    if (islands[size(first_row)] != SIZE_MAX) continue;
+    islands[size(first_row)] = island_count;
+    waiting.push_back(first_row);
+    while (!waiting.empty()) {
+      const std::int32_t row = waiting.back();
+      waiting.pop_back();
+      for (Index edge = edge_starts[size(row)]; edge < edge_starts[size(row) + 1]; ++edge) {
+        const Index other = edge_rows[size(edge)];
+        if (other >= free_count || islands[size(other)] != SIZE_MAX) continue;
+        islands[size(other)] = island_count;
+        waiting.push_back(other);
+      }
+    }
+    ++island_count;
   }
 }
 
@@ -776,9 +800,10 @@ Eigen::RowVector3d NewtonProblem::reference_of(std::int32_t row) const {
   return target.row(vertices[size(row)]) * inverse_length - fall;
 }
 
-void NewtonProblem::go_to_reference() {
+void NewtonProblem::go_to_reference(const std::vector<bool>& chosen) {
   std::fill_n(motion.data(), 3 * size(padded), 0.0f);
   for (std::int32_t row = 0; row < free_count; ++row) {
+    if (!chosen[islands[size(row)]]) continue;
     const Eigen::RowVector3d there = reference_of(row);
     for (int k = 0; k < 3; ++k) {
       const std::size_t place = 3 * size(row) + size(k);
@@ -788,16 +813,37 @@ void NewtonProblem::go_to_reference() {
   }
 }
 
-double NewtonProblem::inertia_at_reference() const {
+double NewtonProblem::lumped_inertia(std::int32_t row, const Eigen::RowVector3d& there) const {
   double sum = 0;
-  for (std::int32_t row = 0; row < free_count; ++row) {
-    const Eigen::RowVector3d there = reference_of(row);
-    for (int k = 0; k < 3; ++k) {
-      const double away = there[k] - inertial[3 * size(row) + size(k)];
-      sum += 0.5 * static_cast<double>(lumped_masses[size(row)]) * away * away;
-    }
+  for (int k = 0; k < 3; ++k) {
+    const double away = there[k] - inertial[3 * size(row) + size(k)];
+    sum += 0.5 * static_cast<double>(lumped_masses[size(row)]) * away * away;
   }
   return sum;
+}
+
+std::vector<double> NewtonProblem::island_energies() const {
+  if (island_count == 1) return {energy};
+  std::vector<double> sums_of(island_count, 0.0);
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    sums_of[islands[size(row)]] += lumped_inertia(row, Eigen::RowVector3d::Map(positions.data() + 3 * size(row)));
+  }
+  for (std::int32_t group = 0; group < part_tets.back(); ++group) {
+    for (std::int32_t lane = 0; lane < kNewtonGroup; ++lane) {
+      // Its first row is a free one.
+      const std::int32_t row = corners[size(4 * group * kNewtonGroup + lane)];
+      sums_of[islands[size(row)]] += static_cast<double>(energies.data()[group * kNewtonGroup + lane]);
+    }
+  }
+  return sums_of;
+}
+
+std::vector<double> NewtonProblem::island_inertia_at_reference() const {
+  std::vector<double> sums_of(island_count, 0.0);
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    sums_of[islands[size(row)]] += lumped_inertia(row, reference_of(row));
+  }
+  return sums_of;
 }
 
 bool NewtonProblem::finite() const {

@@ -63,10 +63,14 @@ struct NewtonProblem {
   void go_back_and_move(double share);
   /// Slope at the estimate, which has been evaluated, of the energy along the direction of `save`.
   double slope_along_saved() const;
-  /// Begins again with the free vertices at x(t+1).
-  void go_to_reference();
-  /// The energy that inertia has there, with lumped masses.
-  double inertia_at_reference() const;
+  /// Begins again with the free vertices of some islands at x(t+1). An island is free flesh that constrained vertices part from the
+  /// rest, so that neither knows of the other within a frame.
+  /// @param chosen (island_count,)
+  void go_to_reference(const std::vector<bool>& chosen);
+  /// (island_count,) energies at the estimate, which has been evaluated; with lumped masses where there are several.
+  std::vector<double> island_energies() const;
+  /// (island_count,) the energy that inertia has at x(t+1), with lumped masses.
+  std::vector<double> island_inertia_at_reference() const;
   bool finite() const;
   void start_over();
   /// Positions of all vertices, m.
@@ -79,6 +83,8 @@ struct NewtonProblem {
   std::vector<Index> vertices;       // of the rows
   std::vector<Index> free_vertices;  // the first of them
   std::vector<Index> edge_starts, edge_rows, edge_vertices;
+  std::vector<std::size_t> islands;  // of the free rows
+  std::size_t island_count = 0;
   std::vector<Index> unused;  // constrained vertices that are no row's
 
   // What the kernels read and write (newton_kernel.hpp).
@@ -120,6 +126,8 @@ struct NewtonProblem {
   std::int32_t last_group(std::int32_t part) const;
   double sum(int which) const;
   void find_nearness(const NewtonBody& body);
+  void find_islands();
+  double lumped_inertia(std::int32_t row, const Eigen::RowVector3d& there) const;
   GuideInputs inputs_of(const std::vector<const float*>& vectors, const std::vector<const float*>& scalars) const;
 };
 

@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+#include <vector>
 
 #include "elastic/descent.hpp"
 
@@ -94,10 +96,28 @@ double StepGuard::evaluate_step() {
 
 bool StepGuard::go_to_better_reference() {
   const double energy = problem_.energy;
-  if (!(problem_.inertia_at_reference() < energy)) return false;
+  const std::vector<double> before = problem_.island_energies(), inertia = problem_.island_inertia_at_reference();
+  std::vector<bool> goes(before.size());
+  for (std::size_t k = 0; k < goes.size(); ++k) goes[k] = inertia[k] < before[k];
+  const auto go = [&] {
+    if (std::find(goes.begin(), goes.end(), true) == goes.end()) return false;
+    problem_.go_to_reference(goes);
+    problem_.assemble();
+    return true;
+  };
   problem_.save();
-  problem_.go_to_reference();
-  problem_.assemble();
+  if (!go()) return false;
+  const std::vector<double> there = problem_.island_energies();
+  bool all_gain = true;
+  for (std::size_t k = 0; k < goes.size(); ++k) {
+    const bool gains = there[k] < before[k];
+    all_gain = all_gain && (gains || !goes[k]);
+    goes[k] = goes[k] && gains;
+  }
+  if (!all_gain) {
+    problem_.go_back_and_move(0.0);
+    if (!go()) return false;
+  }
   if (problem_.energy < energy) return true;
   problem_.go_back_and_move(0.0);
   return false;

@@ -38,10 +38,10 @@ class StepGuard {
   void end() {
     if (taken_) evaluate();
   }
-  /// @brief After `end`: goes to the reference where that has less energy, inertia included.
+  /// @brief After `end`: islands of free flesh go to the reference where that has less energy, inertia included.
   ///
   /// Flesh that was torn and twisted may have found another equilibrium. Mostly inertia alone has more energy there.
-  /// @return whether it went
+  /// @return whether any went
   bool go_to_better_reference();
 
  private:

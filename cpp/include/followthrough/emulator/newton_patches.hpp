@@ -91,7 +91,7 @@ class NewtonPatches {
   PatchFeatures start_features();
   /// @brief Gradient, tangent and direction at the estimate. A step that made the energy worse is taken back first
   /// (patch_newton.hpp).
-  /// @param iterations of the conjugate gradients, at most; they stop at 0.003 of the first residual
+  /// @param iterations of the conjugate gradients, at most (NewtonPass); they stop at 0.003 of the first residual
   /// @return the root mean square, over free components, of the first preconditioned residual, in edges; 0 where no part of the
   ///   direction brought the energy down either
   double evaluate(int iterations);
@@ -104,9 +104,9 @@ class NewtonPatches {
   /// @param step (f,3) edges
   /// @param last the frame's last pass makes it
   void move(const Steps& step, bool last = false);
-  /// @brief After the last pass's step, which is taken back where it made the energy worse: goes to the reference where that has
-  /// less.
-  /// @return whether it went, and passes begin again from there
+  /// @brief After the last pass's step, which is taken back where it made the energy worse: free flesh goes to the reference where
+  /// that has less, each part that constrained vertices part from the rest for itself.
+  /// @return whether any went, and passes begin again from there
   /// @throws InvalidInput before evaluate
   bool end_passes();
   /// (n,3) the estimate, m.

@@ -25,7 +25,8 @@ namespace followthrough {
 using Guide = std::vector<DenseLayer>;
 
 struct NewtonPass {
-  int iterations = 0;  ///< of the conjugate gradients, at most
+  int iterations = 0;  ///< of the conjugate gradients, at most; twice as many once a pass of the frame has left more than half of
+                       ///< its residual
   Guide guide;         ///< of 6 vectors and 5 numbers; none: the step is the direction
 };
 
@@ -33,8 +34,9 @@ struct NewtonSchedule {
   Guide start;                     ///< of 9 vectors and 4 numbers
   std::vector<NewtonPass> passes;  ///< the last one is repeated; none: the first estimate is the frame
   int most_passes = 16;
-  double tolerance = 1e-3;    ///< edges: passes end where the first preconditioned residual's root mean square is below it, or, in
-                              ///< frames whose first step is shorter than a tenth of an edge, below as much less
+  double tolerance = 1e-3;    ///< edges: passes end where the root mean square of what they would still do is less, judged by the
+                              ///< rate at which residuals fall (before the first, where the residual is), or, in frames whose first
+                              ///< step is shorter than a tenth of an edge, as much less
   int extra_passes = 0;       ///< without a guide, after the others: each takes the frame nearer to backward Euler's own answer
   int extra_iterations = 16;  ///< of each of them
 };
