@@ -181,7 +181,7 @@ def in_two_parts() -> tuple[Array, NDArray[np.int32], NDArray[np.bool_]]:
     """Two blocks that share no vertex, each held by an end."""
     rest, tets = bar(3, 2, 2)
     other, more = bar(2, 2, 3)
-    both = np.concatenate([rest, other + [0.0, 0.6, 0.0]])
+    both = np.concatenate([rest, other + np.array([0.0, 0.6, 0.0])])
     held = np.concatenate([rest[:, 0] < 0.1, other[:, 2] < 0.1])
     return both, np.concatenate([tets, more + len(rest)]).astype(np.int32), held
 

@@ -62,8 +62,8 @@ class StepGuard {
 
   NewtonProblem& problem_;
   std::optional<TakenStep> taken_;  // not evaluated yet
-  double left_ = 0, rate_ = 0;       // of the last step: the residual that it left, and over that before it
-  bool slow_ = false;                // a step of the frame left much
+  double left_ = 0, rate_ = 0;      // of the last step: the residual that it left, and over that before it
+  bool slow_ = false;               // a step of the frame left much
 };
 
 }  // namespace followthrough
