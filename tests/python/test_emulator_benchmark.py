@@ -113,7 +113,7 @@ def test_one_json_object_and_a_plot(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_a_whole_frame_is_measured_with_its_parts() -> None:
-    (found,) = measure_whole_frame([1], 5, sides=8, cells=10)
+    (found,) = measure_whole_frame([1], 5, sides=8)
     assert found.surface_vertices == 14 * (8 * 8 + 2) and found.frames == 5
     assert 0 < found.free_vertices < found.volume_vertices
     assert 0 < found.ms_low <= found.ms_median <= found.ms_high

@@ -73,7 +73,6 @@ def _sgemm(side: int) -> Method:
         f"NumPy's float32 product of {side} x {side} matrices",
         make,
         work=lambda solver: {"GFLOP": 2e-9 * side**3},
-        rest=0.05,  # OpenBLAS' threads spin so long
         has_errors=False,
     )
 

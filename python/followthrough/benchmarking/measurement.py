@@ -141,8 +141,6 @@ class _Lane:
         seconds = time.perf_counter() - begun
         self.spent += seconds
         self.milliseconds.append(1000 * seconds)
-        if self.threads > 1:
-            time.sleep(self.method.rest)
         self.exploded = not np.isfinite(self.positions).all()
         for name, amount in self.method.work(self.solver).items():
             self.work[name] += amount

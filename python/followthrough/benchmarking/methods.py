@@ -58,8 +58,6 @@ class Method:
         What there is to say about a solver that `make` has made.
     same_bits
         Whether results must not depend on the number of threads.
-    rest
-        Seconds after a frame before anything else is measured: threads of its own may keep their processors for a while.
     has_errors
         Whether single frames from true history say anything about it.
     """
@@ -71,7 +69,6 @@ class Method:
     forecast: Callable[[Any, Scene], float] | None = None
     notes: Callable[[Any], list[str]] = lambda solver: []
     same_bits: bool = True
-    rest: float = 0.0
     has_errors: bool = True
 
 
