@@ -3,12 +3,10 @@
 
 from typing import Any
 
-import bpy
 from bpy.app.handlers import persistent
 
+from ..handlers import listen, listen_no_longer
 from . import heat_map, legend, viewports
-
-_NAMES = ("undo_post", "redo_post")
 
 
 @persistent
@@ -16,17 +14,16 @@ def _follow_undo(*_: Any) -> None:
     viewports.follow_undo(heat_map.is_any_shown())
 
 
+_HANDLERS = dict.fromkeys(("undo_post", "redo_post"), _follow_undo)
+
+
 def register_handlers() -> None:
     """Draw legends, and listen to undo."""
     legend.start_drawing()
-    for name in _NAMES:
-        getattr(bpy.app.handlers, name).append(_follow_undo)
+    listen(_HANDLERS)
 
 
 def unregister_handlers() -> None:
     """No longer."""
     legend.stop_drawing()
-    for name in _NAMES:
-        handlers = getattr(bpy.app.handlers, name)
-        if _follow_undo in handlers:
-            handlers.remove(_follow_undo)
+    listen_no_longer(_HANDLERS)

@@ -10,6 +10,7 @@ from bpy.app.handlers import persistent
 
 from followthrough.blender import ObjectSettings, Preview, remove_left_over
 
+from ..handlers import listen, listen_no_longer
 from ..properties.bake_settings import object_settings
 from ..redraw import redraw_sidebars
 
@@ -50,7 +51,7 @@ def start(
         preview.end()
         raise
     _running = preview
-    bpy.app.handlers.frame_change_post.append(_follow)
+    listen(_FOLLOWING)
     return preview
 
 
@@ -58,7 +59,7 @@ def end(reason: str = "") -> None:
     """End it; everything is as it was before it."""
     global _running, _ended_because
     ended, _running, _ended_because = _running, None, reason
-    _forget_handler()
+    listen_no_longer(_FOLLOWING)
     if ended is not None:
         ended.end()
         redraw_sidebars()
@@ -87,15 +88,13 @@ def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None
         redraw_sidebars()
 
 
+#: Handlers that are there as long as a preview runs.
+_FOLLOWING = {"frame_change_post": _follow}
+
+
 def _settings(preview: Preview, scene: bpy.types.Scene) -> dict[str, ObjectSettings]:
     found = (scene.objects.get(name) for name in preview.object_names)
     return {obj.name: object_settings(obj) for obj in found if obj is not None and obj.followthrough.is_added}
-
-
-def _forget_handler() -> None:
-    handlers = bpy.app.handlers.frame_change_post
-    if _follow in handlers:
-        handlers.remove(_follow)
 
 
 def _tells(act: Callable[[Preview], None]) -> Callable[..., None]:
@@ -114,7 +113,7 @@ def _leave_file(*_: Any) -> None:
     """Another file is opened: nothing of this one may be touched afterwards."""
     global _running, _ended_because
     _running, _ended_because = None, ""
-    _forget_handler()
+    listen_no_longer(_FOLLOWING)
 
 
 @persistent
@@ -141,14 +140,10 @@ _HANDLERS = {
 
 def register_handlers() -> None:
     """Listen to what happens to the file."""
-    for name, handler in _HANDLERS.items():
-        getattr(bpy.app.handlers, name).append(handler)
+    listen(_HANDLERS)
 
 
 def unregister_handlers() -> None:
     """Listen no longer, and end the preview."""
     end()
-    for name, handler in _HANDLERS.items():
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:
-            handlers.remove(handler)
+    listen_no_longer(_HANDLERS)

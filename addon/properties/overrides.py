@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-_NAMES = ("load_post", "save_pre")
+from ..handlers import listen, listen_no_longer
 
 
 def prepare(obj: bpy.types.Object) -> None:
@@ -27,15 +27,14 @@ def _prepare_all(*_: Any) -> None:
             prepare(obj)
 
 
+_HANDLERS = dict.fromkeys(("load_post", "save_pre"), _prepare_all)
+
+
 def register_handlers() -> None:
     """Listen to files that are opened and saved."""
-    for name in _NAMES:
-        getattr(bpy.app.handlers, name).append(_prepare_all)
+    listen(_HANDLERS)
 
 
 def unregister_handlers() -> None:
     """No longer."""
-    for name in _NAMES:
-        handlers = getattr(bpy.app.handlers, name)
-        if _prepare_all in handlers:
-            handlers.remove(_prepare_all)
+    listen_no_longer(_HANDLERS)
