@@ -6,6 +6,7 @@
 
 #include <cstdint>
 
+#include "lane_algebra.hpp"
 #include "lanes.hpp"
 
 namespace followthrough::FOLLOWTHROUGH_ISA {
@@ -107,6 +108,18 @@ inline void store_vectors(float* to, const Lanes (&components)[3]) {
   }
 #endif
 }
+
+inline Triple gather_triple(const float* from, const int* starts) {
+  Lanes components[3];
+  load_vectors(from, starts, components);
+  return {{components[0]}, {components[1]}, {components[2]}};
+}
+inline Triple load_triple(const float* from) {
+  Lanes components[3];
+  load_vectors(from, components);
+  return {{components[0]}, {components[1]}, {components[2]}};
+}
+inline void store(float* to, Triple a) { store_vectors(to, {a.x.v, a.y.v, a.z.v}); }
 
 /// What 1 is in memory.
 template <typename Stored>

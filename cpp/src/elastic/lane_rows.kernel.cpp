@@ -10,8 +10,6 @@ namespace {
 
 static_assert(kGroup == row_lanes && kGroup == single_lanes);
 
-inline Real sum_of_products(Triple a, Triple b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-
 inline Triple product(const Symmetric& m, Triple v) {
   return {sum_of_products({m.xx, m.xy, m.xz}, v), sum_of_products({m.xy, m.yy, m.yz}, v), sum_of_products({m.xz, m.yz, m.zz}, v)};
 }
@@ -35,18 +33,6 @@ inline void add_turned_blocks(const float* stiffness, const std::int32_t* first,
     for (int j = 0; j < 3; ++j) out[3 * i + j] += sum[3 * j + i];
   }
 }
-
-inline Triple gather_triple(const float* from, const std::int32_t* starts) {
-  Lanes components[3];
-  load_vectors(from, starts, components);
-  return {{components[0]}, {components[1]}, {components[2]}};
-}
-inline Triple load_triple(const float* from) {
-  Lanes components[3];
-  load_vectors(from, components);
-  return {{components[0]}, {components[1]}, {components[2]}};
-}
-inline void store(float* to, Triple a) { store_vectors(to, {a.x.v, a.y.v, a.z.v}); }
 
 // Inverts a group's diagonal blocks; false where one of them is not positive definite.
 inline bool invert_diagonal(const float* block, float* inverse) {

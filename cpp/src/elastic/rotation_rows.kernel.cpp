@@ -16,13 +16,6 @@ constexpr float small_change = 1e-12f;
 // Share of the cube of its size below which a map's determinant counts as none.
 constexpr float smallest_determinant = 1e-6f;
 
-inline Triple gather_triple(const float* from, const std::int32_t* starts) {
-  Lanes components[3];
-  load_vectors(from, starts, components);
-  return {{components[0]}, {components[1]}, {components[2]}};
-}
-
-inline Real sum_of_products(Triple a, Triple b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 inline Real sum_of_squares(const Square& m) {
   return sum_of_products(m.x, m.x) + sum_of_products(m.y, m.y) + sum_of_products(m.z, m.z);
 }

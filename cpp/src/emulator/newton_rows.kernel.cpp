@@ -31,18 +31,6 @@ inline void gather_blocks(const float* sums, const std::int32_t* places, Real (&
   }
 }
 
-inline Triple gather_triple(const float* from, const std::int32_t* starts) {
-  Lanes components[3];
-  load_vectors(from, starts, components);
-  return {{components[0]}, {components[1]}, {components[2]}};
-}
-inline Triple load_vectors(const float* from) {
-  Lanes components[3];
-  load_vectors(from, components);
-  return {{components[0]}, {components[1]}, {components[2]}};
-}
-inline void store_vectors(float* to, Triple a) { store_vectors(to, {a.x.v, a.y.v, a.z.v}); }
-
 inline Triple times(Triple a, Triple b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
 
 // Adds masses times offsets of one kind of neighbours.
@@ -60,7 +48,7 @@ inline void assemble_blocks(const NewtonRows& rows, Stored* blocks, std::int64_t
   const Real half = real(0.5f), one = real(kOne<Stored>);
   for (std::int64_t group = first_group; group < last_group; ++group) {
     for (int lane = 0; lane < kGroup; lane += kLanes) {
-      const Triple scale = load_vectors(rows.scales + 4 * (group * kGroup + lane));
+      const Triple scale = load_triple(rows.scales + 4 * (group * kGroup + lane));
       const Real own[3] = {scale.x, scale.y, scale.z};
       for (std::int64_t slot = rows.slot_starts[group]; slot < rows.slot_starts[group + 1]; ++slot) {
         Real from[kBlock];
@@ -97,7 +85,7 @@ inline void multiply_rows(const NewtonRows& rows, const Stored* blocks, std::int
           *parts[k] = fma_of(line.z, other.z, fma_of(line.y, other.y, fma_of(line.x, other.x, *parts[k])));
         }
       }
-      const Triple own = load_vectors(rows.direction + 4 * (row + lane));
+      const Triple own = load_triple(rows.direction + 4 * (row + lane));
       const Triple d = load_triple(rows.diagonal + group * 3 * kGroup + lane, kGroup);  // xy xz yz
       const Triple product = fma_of(sum, unit,
                                     {fma_of(d.y, own.z, fma_of(d.x, own.y, own.x)), fma_of(d.z, own.z, fma_of(d.x, own.x, own.y)),
@@ -125,11 +113,11 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
       const Symmetric scaled{
           one, one, one, own[3] * (scale.x * scale.y), own[4] * (scale.x * scale.z), own[5] * (scale.y * scale.z)};
       const Symmetric inverse = inverse_of(scaled);
-      store_vectors(rows.scales + 4 * (row + lane), scale);
+      store(rows.scales + 4 * (row + lane), scale);
       store(rows.traces + row + lane, d.x + d.y + d.z);
       store(rows.diagonal + group * 3 * kGroup + lane, kGroup, Triple{scaled.xy, scaled.xz, scaled.yz});
       store(rows.inverse + group * 6 * kGroup + lane, inverse);
-      const Triple offset = load_vectors(rows.offsets + 4 * (row + lane));
+      const Triple offset = load_triple(rows.offsets + 4 * (row + lane));
       const Triple inertia = add_inertia(rows, rows.slot_columns, rows.slot_masses, rows.slot_starts[group],
                                          rows.slot_starts[group + 1], lane, offset * mass);
       const Triple border = add_inertia(rows, rows.border_columns, rows.border_masses, rows.border_starts[group],
@@ -140,7 +128,7 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
       store(rows.first + row + lane, rows.padded, first);
       store(rows.residual + row + lane, rows.padded, residual);
       store(rows.preconditioned + row + lane, rows.padded, next);
-      store_vectors(rows.direction + 4 * (row + lane), next);
+      store(rows.direction + 4 * (row + lane), next);
       store(rows.solution + row + lane, rows.padded, none);
       store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(residual, next));
       store(&sums->sums[1][lane], load_real(&sums->sums[1][lane]) + dot(first, first));
@@ -174,7 +162,7 @@ void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group
     for (int lane = 0; lane < kGroup; lane += kLanes) {
       const std::int64_t row = group * kGroup + lane;
       store(rows.solution + row, rows.padded,
-            fma_of(load_vectors(rows.direction + 4 * row), step, load_triple(rows.solution + row, rows.padded)));
+            fma_of(load_triple(rows.direction + 4 * row), step, load_triple(rows.solution + row, rows.padded)));
       const Triple left = fma_of(load_triple(rows.product + row, rows.padded), back, load_triple(rows.residual + row, rows.padded));
       const Triple next = load_symmetric(rows.inverse + group * 6 * kGroup + lane) * left;
       store(rows.residual + row, rows.padded, left);
@@ -187,14 +175,14 @@ void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group
 void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, std::int32_t last_group) noexcept {
   const Real part = real(share);
   for (std::int64_t row = std::int64_t{first_group} * kGroup; row < std::int64_t{last_group} * kGroup; row += kLanes) {
-    const Triple turned = fma_of(load_vectors(rows.direction + 4 * row), part, load_triple(rows.preconditioned + row, rows.padded));
-    store_vectors(rows.direction + 4 * row, turned);
+    const Triple turned = fma_of(load_triple(rows.direction + 4 * row), part, load_triple(rows.preconditioned + row, rows.padded));
+    store(rows.direction + 4 * row, turned);
   }
 }
 
 void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept {
   for (std::int64_t row = std::int64_t{first_group} * kGroup; row < std::int64_t{last_group} * kGroup; row += kLanes) {
-    const Triple scale = load_vectors(rows.scales + 4 * row);
+    const Triple scale = load_triple(rows.scales + 4 * row);
     store(rows.solution + row, rows.padded, times(load_triple(rows.solution + row, rows.padded), scale));
     store(rows.preconditioned + row, rows.padded, times(load_triple(rows.preconditioned + row, rows.padded), scale));
   }

@@ -99,14 +99,14 @@ bool StepGuard::go_to_better_reference() {
   const std::vector<double> before = problem_.island_energies(), inertia = problem_.island_inertia_at_reference();
   std::vector<bool> goes(before.size());
   for (std::size_t k = 0; k < goes.size(); ++k) goes[k] = inertia[k] < before[k];
+  const auto none_goes = [&] { return std::find(goes.begin(), goes.end(), true) == goes.end(); };
   const auto go = [&] {
-    if (std::find(goes.begin(), goes.end(), true) == goes.end()) return false;
     problem_.go_to_reference(goes);
     problem_.assemble();
-    return true;
   };
+  if (none_goes()) return false;
   problem_.save();
-  if (!go()) return false;
+  go();
   const std::vector<double> there = problem_.island_energies();
   bool all_gain = true;
   for (std::size_t k = 0; k < goes.size(); ++k) {
@@ -116,7 +116,8 @@ bool StepGuard::go_to_better_reference() {
   }
   if (!all_gain) {
     problem_.go_back_and_move(0.0);
-    if (!go()) return false;
+    if (none_goes()) return false;
+    go();
   }
   if (problem_.energy < energy) return true;
   problem_.go_back_and_move(0.0);
