@@ -22,18 +22,8 @@ struct Kernels {
 };
 
 Kernels kernels() {
-  switch (instruction_set()) {
-#ifdef FOLLOWTHROUGH_HAS_avx512
-    case InstructionSet::avx512:
-      return {avx512::cluster_forces, avx512::cluster_mass};
-#endif
-#ifdef FOLLOWTHROUGH_HAS_avx2
-    case InstructionSet::avx2:
-      return {avx2::cluster_forces, avx2::cluster_mass};
-#endif
-    default:
-      return {baseline::cluster_forces, baseline::cluster_mass};
-  }
+  return {FOLLOWTHROUGH_KERNEL_OF_TYPE(decltype(Kernels::forces), cluster_forces),
+          FOLLOWTHROUGH_KERNEL_OF_TYPE(decltype(Kernels::mass), cluster_mass)};
 }
 
 }  // namespace

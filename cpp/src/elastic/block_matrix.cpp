@@ -13,20 +13,7 @@ namespace {
 constexpr Eigen::Index rows_at_a_time = 256;
 constexpr double block_nanoseconds = 2.5;
 
-decltype(&baseline::multiply_rows) multiply_rows_kernel() {
-  switch (instruction_set()) {
-#ifdef FOLLOWTHROUGH_HAS_avx512
-    case InstructionSet::avx512:
-      return avx512::multiply_rows;
-#endif
-#ifdef FOLLOWTHROUGH_HAS_avx2
-    case InstructionSet::avx2:
-      return avx2::multiply_rows;
-#endif
-    default:
-      return baseline::multiply_rows;
-  }
-}
+decltype(&baseline::multiply_rows) multiply_rows_kernel() { return FOLLOWTHROUGH_KERNEL(multiply_rows); }
 
 }  // namespace
 

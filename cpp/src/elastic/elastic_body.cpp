@@ -62,20 +62,9 @@ struct Kernels {
 };
 
 Kernels kernels() {
-  switch (instruction_set()) {
-#ifdef FOLLOWTHROUGH_HAS_avx512
-    case InstructionSet::avx512:
-      return {avx512::cluster_forces, avx512::cluster_mass, avx512::batch_stiffness, avx512::run_stiffness,
-              avx512::store_stiffness};
-#endif
-#ifdef FOLLOWTHROUGH_HAS_avx2
-    case InstructionSet::avx2:
-      return {avx2::cluster_forces, avx2::cluster_mass, avx2::batch_stiffness, avx2::run_stiffness, avx2::store_stiffness};
-#endif
-    default:
-      return {baseline::cluster_forces, baseline::cluster_mass, baseline::batch_stiffness, baseline::run_stiffness,
-              baseline::store_stiffness};
-  }
+  return {FOLLOWTHROUGH_KERNEL_OF_TYPE(decltype(Kernels::forces), cluster_forces),
+          FOLLOWTHROUGH_KERNEL_OF_TYPE(decltype(Kernels::mass), cluster_mass), FOLLOWTHROUGH_KERNEL(batch_stiffness),
+          FOLLOWTHROUGH_KERNEL(run_stiffness), FOLLOWTHROUGH_KERNEL(store_stiffness)};
 }
 
 bool has_closed_form(const Material& material) { return dynamic_cast<const InvertibleStVK*>(&material) != nullptr; }

@@ -34,24 +34,10 @@ struct Kernels {
   decltype(&baseline::turn_lane_rows) turn;
 };
 
-#define FOLLOWTHROUGH_LANE_KERNELS(isa) \
-  {isa::assemble_lane_rows, isa::start_lane_rows, isa::multiply_lane_rows, isa::advance_lane_rows, isa::turn_lane_rows}
-
 Kernels kernels() {
-  switch (instruction_set()) {
-#ifdef FOLLOWTHROUGH_HAS_avx512
-    case InstructionSet::avx512:
-      return FOLLOWTHROUGH_LANE_KERNELS(avx512);
-#endif
-#ifdef FOLLOWTHROUGH_HAS_avx2
-    case InstructionSet::avx2:
-      return FOLLOWTHROUGH_LANE_KERNELS(avx2);
-#endif
-    default:
-      return FOLLOWTHROUGH_LANE_KERNELS(baseline);
-  }
+  return {FOLLOWTHROUGH_KERNEL(assemble_lane_rows), FOLLOWTHROUGH_KERNEL(start_lane_rows), FOLLOWTHROUGH_KERNEL(multiply_lane_rows),
+          FOLLOWTHROUGH_KERNEL(advance_lane_rows), FOLLOWTHROUGH_KERNEL(turn_lane_rows)};
 }
-#undef FOLLOWTHROUGH_LANE_KERNELS
 
 }  // namespace
 

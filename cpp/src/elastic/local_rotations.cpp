@@ -14,20 +14,7 @@ namespace {
 constexpr std::size_t lanes = rotation_lanes;
 constexpr double group_nanoseconds = 800;
 
-decltype(&baseline::turn_rotation_rows) turn_kernel() {
-  switch (instruction_set()) {
-#ifdef FOLLOWTHROUGH_HAS_avx512
-    case InstructionSet::avx512:
-      return avx512::turn_rotation_rows;
-#endif
-#ifdef FOLLOWTHROUGH_HAS_avx2
-    case InstructionSet::avx2:
-      return avx2::turn_rotation_rows;
-#endif
-    default:
-      return baseline::turn_rotation_rows;
-  }
-}
+decltype(&baseline::turn_rotation_rows) turn_kernel() { return FOLLOWTHROUGH_KERNEL(turn_rotation_rows); }
 
 // Relative to their mean, so that single precision will do far from the origin.
 void put(ConstPositions positions, std::vector<float>& to) {

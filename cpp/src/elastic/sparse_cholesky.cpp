@@ -27,18 +27,7 @@ struct Kernels {
 };
 
 Kernels kernels() {
-  switch (instruction_set()) {
-#ifdef FOLLOWTHROUGH_HAS_avx512
-    case InstructionSet::avx512:
-      return {avx512::eliminate, avx512::solve_lower, avx512::solve_upper};
-#endif
-#ifdef FOLLOWTHROUGH_HAS_avx2
-    case InstructionSet::avx2:
-      return {avx2::eliminate, avx2::solve_lower, avx2::solve_upper};
-#endif
-    default:
-      return {baseline::eliminate, baseline::solve_lower, baseline::solve_upper};
-  }
+  return {FOLLOWTHROUGH_KERNEL(eliminate), FOLLOWTHROUGH_KERNEL(solve_lower), FOLLOWTHROUGH_KERNEL(solve_upper)};
 }
 
 int padded(int rows) { return (rows + front_lanes - 1) / front_lanes * front_lanes; }

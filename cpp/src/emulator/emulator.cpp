@@ -45,18 +45,7 @@ Kernels kernels(Precision precision) {
 #else
   (void)precision;
 #endif
-  switch (instruction_set()) {
-#ifdef FOLLOWTHROUGH_HAS_avx512
-    case InstructionSet::avx512:
-      return {avx512::neighbour_shares, avx512::predict_changes};
-#endif
-#ifdef FOLLOWTHROUGH_HAS_avx2
-    case InstructionSet::avx2:
-      return {avx2::neighbour_shares, avx2::predict_changes};
-#endif
-    default:
-      return {baseline::neighbour_shares, baseline::predict_changes};
-  }
+  return {FOLLOWTHROUGH_KERNEL(neighbour_shares), FOLLOWTHROUGH_KERNEL(predict_changes)};
 }
 
 void require_positive(const char* name, const Vector& values, Eigen::Index count) {

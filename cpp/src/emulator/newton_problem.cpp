@@ -51,24 +51,9 @@ struct Kernels {
 };
 
 Kernels kernels() {
-#define FOLLOWTHROUGH_KERNELS_OF(isa)                                                                                \
-  {                                                                                                                  \
-    isa::add_tets, isa::add_blocks, isa::assemble_rows, isa::assemble_blocks, isa::multiply_rows, isa::advance_rows, \
-        isa::turn_rows, isa::unscale_rows, isa::neighbour_means                                                      \
-  }
-  switch (instruction_set()) {
-#ifdef FOLLOWTHROUGH_HAS_avx512
-    case InstructionSet::avx512:
-      return FOLLOWTHROUGH_KERNELS_OF(avx512);
-#endif
-#ifdef FOLLOWTHROUGH_HAS_avx2
-    case InstructionSet::avx2:
-      return FOLLOWTHROUGH_KERNELS_OF(avx2);
-#endif
-    default:
-      return FOLLOWTHROUGH_KERNELS_OF(baseline);
-  }
-#undef FOLLOWTHROUGH_KERNELS_OF
+  return {FOLLOWTHROUGH_KERNEL(add_tets),        FOLLOWTHROUGH_KERNEL(add_blocks),    FOLLOWTHROUGH_KERNEL(assemble_rows),
+          FOLLOWTHROUGH_KERNEL(assemble_blocks), FOLLOWTHROUGH_KERNEL(multiply_rows), FOLLOWTHROUGH_KERNEL(advance_rows),
+          FOLLOWTHROUGH_KERNEL(turn_rows),       FOLLOWTHROUGH_KERNEL(unscale_rows),  FOLLOWTHROUGH_KERNEL(neighbour_means)};
 }
 
 using RowMatrix3f = Eigen::Matrix<float, 3, 3, Eigen::RowMajor>;

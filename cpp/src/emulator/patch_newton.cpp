@@ -25,20 +25,7 @@ constexpr double nothing_left = 1e-7;
 // Root mean square of the first step, in edges, from which on the tolerance is as it is given: calmer frames are solved as exactly
 // in proportion, so that what comes to rest does.
 constexpr double lively_step = 0.1;
-decltype(&baseline::guide_rows) guide_kernel() {
-  switch (instruction_set()) {
-#ifdef FOLLOWTHROUGH_HAS_avx512
-    case InstructionSet::avx512:
-      return avx512::guide_rows;
-#endif
-#ifdef FOLLOWTHROUGH_HAS_avx2
-    case InstructionSet::avx2:
-      return avx2::guide_rows;
-#endif
-    default:
-      return baseline::guide_rows;
-  }
-}
+decltype(&baseline::guide_rows) guide_kernel() { return FOLLOWTHROUGH_KERNEL(guide_rows); }
 
 void require_layer(const std::string& place, const DenseLayer& layer, Eigen::Index inputs, Eigen::Index outputs) {
   if (layer.weight.cols() != inputs || layer.weight.rows() < 1 || (outputs && layer.weight.rows() != outputs)) {

@@ -28,20 +28,7 @@ using RowMatrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 /// What a vertex takes in the linear kernel, roughly, beside its places (see worthwhile_threads).
 constexpr double linear_offset_nanoseconds = 10;
 
-auto surface_kernel() {
-  switch (instruction_set()) {
-#ifdef FOLLOWTHROUGH_HAS_avx512
-    case InstructionSet::avx512:
-      return avx512::surface_offsets;
-#endif
-#ifdef FOLLOWTHROUGH_HAS_avx2
-    case InstructionSet::avx2:
-      return avx2::surface_offsets;
-#endif
-    default:
-      return baseline::surface_offsets;
-  }
-}
+auto surface_kernel() { return FOLLOWTHROUGH_KERNEL(surface_offsets); }
 
 /// Where the offsets of a frame go: rounded, or in double precision with the displacements beside them.
 struct FrameOut {

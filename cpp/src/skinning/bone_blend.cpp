@@ -77,18 +77,7 @@ DualRow dual_row(const Quaterniond& rotation, const Matrix34& excess) {
 
 auto sum_kernel(Skinning skinning) {
   const bool linear = skinning == Skinning::linear;
-  switch (instruction_set()) {
-#ifdef FOLLOWTHROUGH_HAS_avx512
-    case InstructionSet::avx512:
-      return linear ? avx512::sum_bone_matrices : avx512::sum_bone_quaternions;
-#endif
-#ifdef FOLLOWTHROUGH_HAS_avx2
-    case InstructionSet::avx2:
-      return linear ? avx2::sum_bone_matrices : avx2::sum_bone_quaternions;
-#endif
-    default:
-      return linear ? baseline::sum_bone_matrices : baseline::sum_bone_quaternions;
-  }
+  return linear ? FOLLOWTHROUGH_KERNEL(sum_bone_matrices) : FOLLOWTHROUGH_KERNEL(sum_bone_quaternions);
 }
 
 }  // namespace

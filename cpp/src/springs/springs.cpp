@@ -30,20 +30,7 @@ struct Kernels {
   decltype(&baseline::finite_sum) finite_sum;
 };
 
-Kernels kernels() {
-  switch (instruction_set()) {
-#ifdef FOLLOWTHROUGH_HAS_avx512
-    case InstructionSet::avx512:
-      return {avx512::springs_step, avx512::finite_sum};
-#endif
-#ifdef FOLLOWTHROUGH_HAS_avx2
-    case InstructionSet::avx2:
-      return {avx2::springs_step, avx2::finite_sum};
-#endif
-    default:
-      return {baseline::springs_step, baseline::finite_sum};
-  }
-}
+Kernels kernels() { return {FOLLOWTHROUGH_KERNEL(springs_step), FOLLOWTHROUGH_KERNEL(finite_sum)}; }
 
 template <typename Work>
 void for_blocks(Eigen::Index count, double nanoseconds, const Work& work) {
