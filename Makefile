@@ -13,7 +13,7 @@ DEMO_OUTPUT ?= demo-output
 TRAINING_DATA ?= training-data
 BENCH_ARGS ?=
 
-.PHONY: weights bench-emulator bench-emulator-speed help setup demo test test-cpp test-python test-slow test-blender test-blender-versions test-training bench bench-bake bench-springs lint format types tidy sanitize extension wheel clean
+.PHONY: weights bench-emulator bench-emulator-ablations bench-emulator-speed help setup demo test test-cpp test-python test-slow test-blender test-blender-versions test-training bench bench-bake bench-springs lint format types tidy sanitize extension wheel clean
 
 help: ## List the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 24
@@ -80,6 +80,13 @@ weights: setup $(TRAINING_VENV)/.installed ## Make the emulator's weights again 
 bench-emulator: setup ## Errors and times of the emulator and of what could take its place, on dances that it has not seen
 	@$(VENV)/bin/followthrough dataset held-out --motions 2 -o $(TRAINING_DATA)/held-out
 	@OMP_NUM_THREADS=1 $(PY) cpp/bench/emulator_scores.py $(TRAINING_DATA)/held-out --pattern 'test-*'
+
+bench-emulator-ablations: setup $(TRAINING_VENV)/.installed ## The paper's network without the reference motion, and with two and three rings: hours of training
+	@$(VENV)/bin/followthrough dataset sphere --motions 16 --seed 1 -o $(TRAINING_DATA)/sphere
+	@$(VENV)/bin/followthrough dataset sphere --motions 1 --seed 1001 -o $(TRAINING_DATA)/sphere-like
+	@$(VENV)/bin/followthrough dataset held-out --motions 2 -o $(TRAINING_DATA)/held-out
+	@OMP_NUM_THREADS=1 $(TRAINING_VENV)/bin/python cpp/bench/emulator_ablations.py $(TRAINING_DATA)/sphere --like $(TRAINING_DATA)/sphere-like \
+	  --dances $(TRAINING_DATA)/held-out --pattern 'test-*' -o $(TRAINING_DATA)/ablations
 
 bench-emulator-speed: $(TRAINING_VENV)/.installed ## Time of the emulator beside PyTorch, ONNX Runtime and the finite elements, by size
 	@$(TRAINING_VENV)/bin/followthrough benchmark emulator $(BENCH_ARGS)

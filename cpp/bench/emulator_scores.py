@@ -124,6 +124,47 @@ def methods(
     return found
 
 
+def measured(
+    paths: list[Path], compared: dict[str, Maker], frames: int | None = None
+) -> dict[str, list[tuple[Scores, float]]]:
+    """Scores of every method on every sequence, each with the paper's units a metre of the scene; methods take turns."""
+    found: dict[str, list[tuple[Scores, float]]] = {name: [] for name in compared}
+    for path in paths:
+        sequence = Sequence.load(path)
+        if frames:
+            assert sequence.dynamic is not None
+            sequence = replace(sequence, reference=sequence.reference[:frames], dynamic=sequence.dynamic[:frames])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            scale = 0.2 / Emulator.of_sequence(sequence, EmulatorWeights.shipped()).edge_length
+            for name, make in compared.items():
+                found[name].append((evaluate(sequence, make(sequence)), scale))
+    return found
+
+
+def table(scores: dict[str, list[tuple[Scores, float]]]) -> str:
+    """A row a method, in Markdown."""
+    rows = [
+        "| method | single | rollout 24 | rollout 48 | rollout all | energy / truth: min, stdev, max | ms a frame | µs a free vertex |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for name, all_scores in scores.items():
+        columns = [
+            float(np.sqrt(np.mean([(scale * getattr(score, field)) ** 2 for score, scale in all_scores])))
+            for field in ("single_frame", "rollout_24", "rollout_48", "rollout_all")
+        ]
+        energy = ", ".join(
+            f"{statistics.median(getattr(s.predicted, kind) / getattr(s.truth, kind) for s, _ in all_scores):.3g}"
+            for kind in ("min", "stdev", "max")
+        )
+        time = statistics.median(score.ms_per_frame for score, _ in all_scores)
+        each = statistics.median(1000 * score.ms_per_frame / score.free_vertices for score, _ in all_scores)
+        rows.append(
+            f"| {name} | {' | '.join(f'{value:.2g}' for value in columns)} | {energy} | {time:.3g} | {each:.3g} |"
+        )
+    return "\n".join(rows)
+
+
 def main() -> None:
     """Measure, one sequence after the other, every method in turn."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -141,35 +182,10 @@ def main() -> None:
     arguments = parser.parse_args()
     weights = EmulatorWeights.shipped() if arguments.weights is None else EmulatorWeights.load(arguments.weights)
     compared = methods(weights, arguments.other, arguments.iterations, arguments.precision)
-    scores: dict[str, list[tuple[Scores, float]]] = {name: [] for name in compared}
-    for path in sorted(arguments.folder.glob(arguments.pattern)):
-        sequence = Sequence.load(path)
-        if arguments.frames:
-            assert sequence.dynamic is not None
-            sequence = replace(
-                sequence, reference=sequence.reference[: arguments.frames], dynamic=sequence.dynamic[: arguments.frames]
-            )
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            scale = 0.2 / Emulator.of_sequence(sequence, weights).edge_length
-            for name, make in compared.items():
-                scores[name].append((evaluate(sequence, make(sequence)), scale))
-    print(
-        "| method | single | rollout 24 | rollout 48 | rollout all | energy / truth: min, stdev, max | ms a frame | µs a free vertex |"
-    )
-    print("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
-    for name, all_scores in scores.items():
-        columns = [
-            float(np.sqrt(np.mean([(scale * getattr(score, field)) ** 2 for score, scale in all_scores])))
-            for field in ("single_frame", "rollout_24", "rollout_48", "rollout_all")
-        ]
-        energy = ", ".join(
-            f"{statistics.median(getattr(s.predicted, kind) / getattr(s.truth, kind) for s, _ in all_scores):.3g}"
-            for kind in ("min", "stdev", "max")
-        )
-        time = statistics.median(score.ms_per_frame for score, _ in all_scores)
-        each = statistics.median(1000 * score.ms_per_frame / score.free_vertices for score, _ in all_scores)
-        print(f"| {name} | {' | '.join(f'{value:.2g}' for value in columns)} | {energy} | {time:.3g} | {each:.3g} |")
+    paths = sorted(arguments.folder.glob(arguments.pattern))
+    if not paths:
+        parser.error(f"{arguments.folder}: found no file like {arguments.pattern}, expected sequences")
+    print(table(measured(paths, compared, arguments.frames)))
 
 
 if __name__ == "__main__":

@@ -85,8 +85,9 @@ def test_batches_have_their_true_changes(data: DataSet) -> None:
     )
 
 
-def test_a_run_that_was_stopped_ends_as_one_that_was_not(data: DataSet, tmp_path: Path) -> None:
-    settings = TrainingSettings(**SMALL, steps=30, warmup_steps=5)
+@pytest.mark.parametrize("optimizer", ["adamw", "muon"])
+def test_a_run_that_was_stopped_ends_as_one_that_was_not(data: DataSet, tmp_path: Path, optimizer: str) -> None:
+    settings = TrainingSettings(**SMALL, steps=30, warmup_steps=5, optimizer=optimizer)
     whole = Trainer(data, settings, TrainedOn())
     whole.run(tmp_path / "whole.pt")
     stopped = Trainer(data, settings, TrainedOn())
@@ -104,6 +105,22 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(data: DataSet, tmp_path
     (tmp_path / "whole.pt").write_bytes((tmp_path / "whole.pt").read_bytes()[:1000])
     with pytest.raises(ValueError, match="no readable checkpoint"):
         whole.resume(tmp_path / "whole.pt")
+
+
+@pytest.mark.parametrize("biases", [True, False])
+def test_muon_takes_matrices_and_adamw_takes_biases(data: DataSet, biases: bool) -> None:
+    settings = TrainingSettings(**SMALL, steps=10, warmup_steps=0, learning_rate=0.01, optimizer="muon", biases=biases)
+    trainer = Trainer(data, settings, TrainedOn())
+    before = {name: tensor.clone() for name, tensor in trainer.network.state_dict().items()}
+    trainer.take_step()
+    assert any(tensor.ndim == 1 for tensor in before.values()) == biases
+    for name, tensor in trainer.network.state_dict().items():
+        step = tensor - before[name]
+        if step.ndim == 1:  # Adam's first step is the learning rate, whatever the gradient
+            torch.testing.assert_close(step.abs(), torch.full_like(step, settings.learning_rate), rtol=1e-3, atol=0)
+        else:
+            largest = torch.linalg.svdvals(step).max()
+            assert largest == pytest.approx(0.2 * settings.learning_rate * math.sqrt(max(step.shape)), rel=0.4), name
 
 
 def config(path: Path, **changes: object) -> Path:
@@ -157,6 +174,7 @@ def test_settings_that_do_not_fit_are_refused(tmp_path: Path, folder: Path, caps
         ({"force": (128,)}, "fewer than two layers"),
         ({"average": 2.0}, "average: found 2.0"),
         ({"inertia": (0, 3)}, "inertia: found [0, 3]"),
+        ({"optimizer": "sgd"}, "optimizer: found 'sgd', expected adamw or muon"),
     ):
         path = config(tmp_path / "changed.toml", **changes)
         assert cli.main(["train", str(folder), "--config", str(path), "-o", str(tmp_path / "w.npz")]) == 2

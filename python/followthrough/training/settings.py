@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Self
 from followthrough.newton_weights import NewtonSchedule
 from followthrough.training.network import PatchNetwork
 from followthrough.training.newton_network import GuidedNewtonNetwork
+from followthrough.training.optimizers import OPTIMIZERS
 
 Bounds = tuple[tuple[str, float, float], ...]
 
@@ -30,8 +31,10 @@ class LearningSettings:
         At the end of the warm-up; from there it falls to a hundredth along a cosine.
     warmup_steps : int
         Steps in which it rises from zero.
+    optimizer : str
+        "adamw", or "muon", which is that for matrices and AdamW for the rest.
     weight_decay : float
-        Of AdamW.
+        Of either, for a learning rate of 1.
     largest_gradient : float
         Gradients are scaled down to this norm.
     average : float
@@ -56,6 +59,7 @@ class LearningSettings:
     frames_a_step: int = 16
     learning_rate: float = 1e-3
     warmup_steps: int = 200
+    optimizer: str = "adamw"
     weight_decay: float = 0.0
     largest_gradient: float = 1.0
     average: float = 0.999
@@ -66,6 +70,8 @@ class LearningSettings:
             value = getattr(self, name)
             if not low <= value <= high or math.isinf(value):
                 raise ValueError(f"{name}: found {value}, expected {low} to {high}")
+        if self.optimizer not in OPTIMIZERS:
+            raise ValueError(f"optimizer: found {self.optimizer!r}, expected {' or '.join(OPTIMIZERS)}")
 
     def learning_rate_at(self, step: int) -> float:
         """Of a step, counted from 0."""

@@ -21,6 +21,7 @@ from followthrough.npz_files import written_whole
 from followthrough.sequences import Sequence
 from followthrough.training.examples import DataSet
 from followthrough.training.newton_examples import NewtonDataSet
+from followthrough.training.optimizers import OPTIMIZERS
 from followthrough.training.settings import NewtonSettings, TrainingSettings
 
 _FORMAT = "followthrough training 1"
@@ -76,9 +77,8 @@ class Trainer:
         torch.manual_seed(settings.seed)
         self.network = settings.network().to(device)
         self.average = copy.deepcopy(self.network)
-        self.optimizer = torch.optim.AdamW(
-            self.network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
-        )
+        make_optimizer = OPTIMIZERS[settings.optimizer]
+        self.optimizer = make_optimizer(self.network, settings.learning_rate, settings.weight_decay)
         self.step = 0
         self.seconds = 0.0
         self.losses: list[float] = []
@@ -87,10 +87,7 @@ class Trainer:
     def take_step(self) -> float:
         """Learn from one batch; returns the loss, a weighted mean square error."""
         start = time.perf_counter()
-        for group in self.optimizer.param_groups:
-            group["lr"] = self.settings.learning_rate_at(self.step)
         loss = self.data.loss(self.network, self.settings, self.step, self.device)
-        self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.settings.largest_gradient)
         value = float(loss.detach())
@@ -99,7 +96,7 @@ class Trainer:
                 f"step {self.step}: found a loss of {value}, expected a finite one (a lower learning_rate may help; the checkpoint is "
                 "of an earlier step)"
             )
-        self.optimizer.step()
+        self.optimizer.step(self.settings.learning_rate_at(self.step))
         keep = min(self.settings.average, (1 + self.step) / (10 + self.step))
         with torch.no_grad():
             for mean, new in zip(self.average.parameters(), self.network.parameters(), strict=True):
