@@ -51,7 +51,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path, help="sequences to learn from (followthrough dataset sphere)")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the weights")
-    parser.add_argument("--steps", type=int, default=3000, help="of training (default %(default)s)")
+    parser.add_argument("--steps", type=int, default=2000, help="of training (default %(default)s)")
     parser.add_argument(
         "--like", type=Path, required=True, help="folder of sequences of the same kind, of another seed"
     )
