@@ -8,47 +8,63 @@
 namespace followthrough::avx512_bf16 {
 namespace {
 
-// Rows x 32 outputs, bias + products, to `sums` (rows, 32).
-template <int kRows>
-inline void multiply_pairs(const std::uint16_t* in, std::int64_t inputs, const std::uint16_t* weights, const float* bias,
-                           float* sums) {
-  const std::uint16_t* const right = weights + 16 * inputs;
+// A tile of rows x 32 outputs of a layer.
+struct Tile {
+  float* sums;  // bias + products (rows, 32)
+  std::int64_t output;
+  std::int32_t first, rows;
+};
+
+// Sums up a tile of as many rows as the template says. Meanwhile the rows of the tile before it are finished one after the other:
+// their tanh keeps units of the processor busy that products leave idle.
+template <int kRows, typename Finish>
+inline void multiply_pairs(const TileLayer& layer, const std::uint16_t* rows, const Tile& tile, const Tile& before,
+                           const Finish& finish) {
+  const std::int64_t inputs = layer.inputs;
+  const std::uint16_t *const in = rows + tile.first * inputs, *const left = layer.weights + tile.output * inputs,
+                             *const right = left + 16 * inputs;
   Lanes low[kRows], high[kRows];
   FOLLOWTHROUGH_UNROLL
   for (int r = 0; r < kRows; ++r) {
-    low[r] = load(bias);
-    high[r] = load(bias + 16);
+    low[r] = load(layer.bias + tile.output);
+    high[r] = load(layer.bias + tile.output + 16);
   }
-  for (std::int64_t k = 0; k < inputs; k += 2) {
-    const auto left_weights = (__m512bh)_mm512_loadu_si512(weights + 16 * k);
-    const auto right_weights = (__m512bh)_mm512_loadu_si512(right + 16 * k);
-    FOLLOWTHROUGH_UNROLL
-    for (int r = 0; r < kRows; ++r) {
-      int pair;
-      memcpy(&pair, in + r * inputs + k, sizeof pair);
-      const auto x = (__m512bh)_mm512_set1_epi32(pair);
-      low[r] = _mm512_dpbf16_ps(low[r], left_weights, x);
-      high[r] = _mm512_dpbf16_ps(high[r], right_weights, x);
+  const std::int64_t share = before.rows ? inputs / (2 * before.rows) * 2 : inputs;  // two and more: there are 32 inputs or more
+  std::int64_t k = 0;
+  for (std::int32_t finished = 0; k < inputs; ++finished) {
+    const bool busy = finished < before.rows;
+    for (const std::int64_t end = busy ? k + share : inputs; k < end; k += 2) {
+      const auto left_weights = (__m512bh)_mm512_loadu_si512(left + 16 * k);
+      const auto right_weights = (__m512bh)_mm512_loadu_si512(right + 16 * k);
+      FOLLOWTHROUGH_UNROLL
+      for (int r = 0; r < kRows; ++r) {
+        int pair;
+        memcpy(&pair, in + r * inputs + k, sizeof pair);
+        const auto x = (__m512bh)_mm512_set1_epi32(pair);
+        low[r] = _mm512_dpbf16_ps(low[r], left_weights, x);
+        high[r] = _mm512_dpbf16_ps(high[r], right_weights, x);
+      }
     }
+    if (busy) finish(before.sums + finished * kTilePanel, before.output, before.first + finished, 1);
   }
   FOLLOWTHROUGH_UNROLL
   for (int r = 0; r < kRows; ++r) {
-    store(sums + r * kTilePanel, low[r]);
-    store(sums + r * kTilePanel + 16, high[r]);
+    store(tile.sums + r * kTilePanel, low[r]);
+    store(tile.sums + r * kTilePanel + 16, high[r]);
   }
 }
 
 // As many rows as the template says, or fewer.
-template <int kRows>
-inline void multiply_rows(std::int32_t rows, const std::uint16_t* in, std::int64_t inputs, const std::uint16_t* weights,
-                          const float* bias, float* sums) {
+template <int kRows, typename Finish>
+inline void multiply_rows(const TileLayer& layer, const std::uint16_t* rows, const Tile& tile, const Tile& before,
+                          const Finish& finish) {
   if constexpr (kRows > 1) {
-    if (rows < kRows) {
-      multiply_rows<kRows - 1>(rows, in, inputs, weights, bias, sums);
+    if (tile.rows < kRows) {
+      multiply_rows<kRows - 1>(layer, rows, tile, before, finish);
       return;
     }
   }
-  multiply_pairs<kRows>(in, inputs, weights, bias, sums);
+  multiply_pairs<kRows>(layer, rows, tile, before, finish);
 }
 
 struct Pairs {
@@ -57,15 +73,20 @@ struct Pairs {
 
   template <typename Finish>
   static void layer(const TileLayer& layer, const std::uint16_t* in, std::int32_t rows, float* sums, const Finish& finish) {
-    const std::int64_t inputs = layer.inputs;
+    static_assert(2 * kTileRows <= kTileBlockRows);                 // `sums` holds two tiles
     const std::int32_t tiles = (rows + kTileRows - 1) / kTileRows;  // of about the same height
+    Tile before{sums, 0, 0, 0};
+    float* free_sums = sums + kTileRows * kTilePanel;
     for (std::int64_t output = 0; output < layer.outputs; output += kTilePanel) {
       for (std::int32_t t = 0; t < tiles; ++t) {
-        const std::int32_t first = rows * t / tiles, count = rows * (t + 1) / tiles - first;
-        multiply_rows<kTileRows>(count, in + first * inputs, inputs, layer.weights + output * inputs, layer.bias + output, sums);
-        finish(sums, output, first, count);
+        const std::int32_t first = rows * t / tiles;
+        const Tile tile{free_sums, output, first, rows * (t + 1) / tiles - first};
+        multiply_rows<kTileRows>(layer, in, tile, before, finish);
+        free_sums = before.sums;
+        before = tile;
       }
     }
+    finish(before.sums, before.output, before.first, before.rows);
   }
 };
 

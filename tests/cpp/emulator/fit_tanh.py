@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Finds the coefficients of the emulator's tanhs, x P(x²) / Q(x²), and measures them in single precision.
+"""Finds the coefficients of the emulator's tanhs and measures them in single precision.
 
-The least maximal error by iteratively reweighted linear least squares (Lawson's method) on tanh(x) Q(x²) - x P(x²), with P(0) = Q(0) = 1
-so that small arguments keep their relative precision. `python tests/cpp/emulator/fit_tanh.py` prints P and Q from the constant on.
+In single precision it is x P(x²) / Q(x²): the least maximal error by iteratively reweighted linear least squares (Lawson's method) on
+tanh(x) Q(x²) - x P(x²), with P(0) = Q(0) = 1 so that small arguments keep their relative precision. In bfloat16 it is one of 16 parabolas,
+that of the two leading digits after the point and the last four of the exponent of |x| + 0.375 as a float: short pieces where tanh
+bends, long ones where it does not. `python tests/cpp/emulator/fit_tanh.py` prints all coefficients from the constant on.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-# Limit, beyond which it is 1, and degrees of P and Q in x². The second is bfloat16's, where a reciprocal that is off by 2⁻¹⁴
-# stands for the division.
-FITS = ((8.0, 5, 3), (5.2, 2, 2))
+# Limit, beyond which it is 1, and degrees of P and Q in x².
+LIMIT, NUMERATOR, DENOMINATOR = 8.0, 5, 3
+# What is added to |x|, and how many of a float's last digits do not count.
+SHIFT, DIGITS = np.float32(0.375), 21
 
 
 def fit(limit: float, numerator: int, denominator: int, rounds: int = 400) -> tuple[float, np.ndarray, np.ndarray]:
@@ -51,19 +54,44 @@ def in_single_precision(limit: float, p: np.ndarray, q: np.ndarray, x: np.ndarra
     return (x * values[0]) / values[1]
 
 
+def parabolas() -> np.ndarray:
+    """Return coefficients (3, 16) that meet tanh in three Chebyshev points of each piece, the first without a constant."""
+    table = np.zeros((3, 16))
+    first = int(SHIFT.view(np.uint32)) >> DIGITS
+    for piece in range(first, first + 16):
+        low, high = (np.uint32(k << DIGITS).view(np.float32).astype(float) - float(SHIFT) for k in (piece, piece + 1))
+        x = (low + high) / 2 + (high - low) / 2 * np.cos(np.pi * (np.arange(3) + 0.5) / 3)
+        table[:, piece % 16] = np.linalg.solve(x[:, None] ** np.arange(3), np.tanh(x))
+    table[0, first % 16] = 0.0
+    return table
+
+
+def by_parabolas(table: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """What the kernels for bfloat16 compute, but for the rounding of fused multiply-adds."""
+    size = np.minimum(np.abs(x), np.float32(5.6249995))
+    piece = ((size + SHIFT).view(np.uint32) >> DIGITS) % 16
+    constant, slope, bend = table.astype(np.float32)[:, piece]
+    return np.copysign((bend * size + slope) * size + constant, x)
+
+
 def main() -> None:
     """Print the coefficients and the errors."""
     x = np.concatenate([np.linspace(-12, 12, 4_000_001), np.logspace(-12, 0, 200_001)]).astype(np.float32)
     exact = np.tanh(x.astype(np.float64))
-    for limit, numerator, denominator in FITS:
-        error, p, q = fit(limit, numerator, denominator)
-        print(f"x P(x²) / Q(x²) on [-{limit}, {limit}], off by {error:.2g} in exact arithmetic")
-        for name, polynomial in (("P", p), ("Q", q)):
-            print(name, ", ".join(float(np.float32(c)).hex() for c in polynomial))
-        for fused in (True, False):
-            off = np.abs(in_single_precision(limit, p, q, x, fused) - exact)
-            relative = (off / np.where(exact == 0, 1, np.abs(exact))).max()
-            print(f"{'fused' if fused else 'plain'}: off by {off.max():.2g}, relatively {relative:.2g}")
+    error, p, q = fit(LIMIT, NUMERATOR, DENOMINATOR)
+    print(f"x P(x²) / Q(x²) on [-{LIMIT}, {LIMIT}], off by {error:.2g} in exact arithmetic")
+    for name, polynomial in (("P", p), ("Q", q)):
+        print(name, ", ".join(float(np.float32(c)).hex() for c in polynomial))
+    for fused in (True, False):
+        off = np.abs(in_single_precision(LIMIT, p, q, x, fused) - exact)
+        relative = (off / np.where(exact == 0, 1, np.abs(exact))).max()
+        print(f"{'fused' if fused else 'plain'}: off by {off.max():.2g}, relatively {relative:.2g}")
+    table = parabolas()
+    for row in table:
+        print(", ".join(f"{np.float32(c):.8g}f" for c in row))
+    off = np.abs(by_parabolas(table, x) - exact)
+    relative = (off[exact != 0] / np.abs(exact[exact != 0])).max()
+    print(f"parabolas: off by {off.max():.2g}, relatively {relative:.2g}")
 
 
 if __name__ == "__main__":
