@@ -141,6 +141,8 @@ class _Lane:
         seconds = time.perf_counter() - begun
         self.spent += seconds
         self.milliseconds.append(1000 * seconds)
+        if self.threads > 1 and self.method.afterglow:
+            time.sleep(self.method.afterglow)
         self.exploded = not np.isfinite(self.positions).all()
         for name, amount in self.method.work(self.solver).items():
             self.work[name] += amount

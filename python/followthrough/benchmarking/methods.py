@@ -60,6 +60,8 @@ class Method:
         Whether results must not depend on the number of threads.
     has_errors
         Whether single frames from true history say anything about it.
+    afterglow
+        Seconds for which threads of its own go on spinning after a frame; whoever comes next waits for as long.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Method:
     notes: Callable[[Any], list[str]] = lambda solver: []
     same_bits: bool = True
     has_errors: bool = True
+    afterglow: float = 0.0
 
 
 class SkinningAlone(Solver):
