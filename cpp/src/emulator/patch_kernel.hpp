@@ -82,9 +82,11 @@ FOLLOWTHROUGH_DECLARE_PATCH_KERNELS(avx512)
 namespace amx {
 /// On the calling thread's tile unit.
 void predict_changes(const PatchFrame& frame, std::int32_t first, std::int32_t last, float* scratch) noexcept;
+void near_tanh(const float* in, float* out, std::int64_t count) noexcept;  // a multiple of 16
 }  // namespace amx
 namespace avx512_bf16 {
 void predict_changes(const PatchFrame& frame, std::int32_t first, std::int32_t last, float* scratch) noexcept;
+void near_tanh(const float* in, float* out, std::int64_t count) noexcept;
 }  // namespace avx512_bf16
 
 }  // namespace followthrough

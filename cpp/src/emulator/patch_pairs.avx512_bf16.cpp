@@ -96,4 +96,8 @@ void predict_changes(const PatchFrame& frame, std::int32_t first, std::int32_t l
   rounded_changes<Pairs>(frame, first, last, memory);
 }
 
+void near_tanh(const float* in, float* out, std::int64_t count) noexcept {
+  for (std::int64_t i = 0; i < count; i += 16) store(out + i, near_tanh(load(in + i)));
+}
+
 }  // namespace followthrough::avx512_bf16

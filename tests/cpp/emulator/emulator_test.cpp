@@ -193,6 +193,40 @@ TEST_CASE("tanh is off by less than 5e-7, odd, exact at zero and keeps what is n
   }
 }
 
+TEST_CASE("bfloat16's tanh is off by less than a tenth of its rounding, odd, within 1, and keeps what is not a number") {
+  std::vector<float> in, out;  // rising
+  for (int k = -400000; k < 400000; ++k) in.push_back((static_cast<float>(k) + 0.5f) * 3e-5f);
+  for (const float x : {1e6f, 1e30f, std::numeric_limits<float>::infinity()}) in.push_back(x);
+  in.resize(in.size() + 16 - in.size() % 16, std::numeric_limits<float>::quiet_NaN());
+  out.resize(in.size());
+  for (const Bfloat16Unit unit : available_bfloat16_units()) {
+    CAPTURE(static_cast<int>(unit));
+    auto* near_tanh = static_cast<void (*)(const float*, float*, std::int64_t) noexcept>(nullptr);
+#ifdef FOLLOWTHROUGH_HAS_amx
+    if (unit == Bfloat16Unit::tiles) near_tanh = amx::near_tanh;
+#endif
+#ifdef FOLLOWTHROUGH_HAS_avx512_bf16
+    if (unit == Bfloat16Unit::pairs) near_tanh = avx512_bf16::near_tanh;
+#endif
+    REQUIRE((near_tanh != nullptr));
+    near_tanh(in.data(), out.data(), static_cast<std::int64_t>(in.size()));
+    double absolute = 0.0, relative = 0.0, fall = 0.0, odd = 0.0;
+    for (std::size_t k = 0; k < 800003; ++k) {
+      const double exact = std::tanh(static_cast<double>(in[k])), off = std::abs(static_cast<double>(out[k]) - exact);
+      absolute = std::max(absolute, off);
+      relative = std::max(relative, off / std::abs(exact));
+      if (k > 0) fall = std::max(fall, static_cast<double>(out[k - 1]) - static_cast<double>(out[k]));
+      if (k < 800000) odd = std::max(odd, std::abs(static_cast<double>(out[k]) + static_cast<double>(out[799999 - k])));
+    }
+    CHECK(absolute < 2.1e-4);
+    CHECK(relative < 2.3e-4);
+    CHECK(fall < 2e-7);  // single precision's own rounding
+    CHECK(odd == 0.0);
+    CHECK(out[800002] <= 1.0f);
+    CHECK(std::isnan(out.back()));
+  }
+}
+
 TEST_CASE("a scene in other units gives the same motion in those units") {
   const PatchNetwork network = random_network(2);
   const EmulatedBody body = block_of_cubes(3, 2, 2);

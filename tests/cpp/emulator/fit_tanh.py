@@ -3,7 +3,7 @@
 
 In single precision it is x P(x²) / Q(x²): the least maximal error by iteratively reweighted linear least squares (Lawson's method) on
 tanh(x) Q(x²) - x P(x²), with P(0) = Q(0) = 1 so that small arguments keep their relative precision. In bfloat16 it is one of 16 parabolas,
-that of the two leading digits after the point and the last four of the exponent of |x| + 0.375 as a float: short pieces where tanh
+that of the two leading digits after the point and the last four of the exponent of |x| + 0.3125 as a float: short pieces where tanh
 bends, long ones where it does not. `python tests/cpp/emulator/fit_tanh.py` prints all coefficients from the constant on.
 """
 
@@ -14,7 +14,11 @@ import numpy as np
 # Limit, beyond which it is 1, and degrees of P and Q in x².
 LIMIT, NUMERATOR, DENOMINATOR = 8.0, 5, 3
 # What is added to |x|, and how many of a float's last digits do not count.
-SHIFT, DIGITS = np.float32(0.375), 21
+SHIFT, DIGITS = np.float32(0.3125), 21
+# The largest float that stays in the last piece; beyond it the parabolas stand still.
+END = np.nextafter(np.float32(5.0), np.float32(0)) - SHIFT
+# Where the third derivative of tanh changes its sign: up to here, pieces that need not meet would step down at their ends.
+TURN = 0.66
 
 
 def fit(limit: float, numerator: int, denominator: int, rounds: int = 400) -> tuple[float, np.ndarray, np.ndarray]:
@@ -55,12 +59,19 @@ def in_single_precision(limit: float, p: np.ndarray, q: np.ndarray, x: np.ndarra
 
 
 def parabolas() -> np.ndarray:
-    """Return coefficients (3, 16) that meet tanh in three Chebyshev points of each piece, the first without a constant."""
+    """Return coefficients (3, 16) that meet tanh in three points of each piece, such that the whole never falls.
+
+    Beyond TURN these are Chebyshev's, and pieces step up where they end by less than their error; before it they are the ends and one
+    between them. In the first piece that one is where relative errors before and after it are the same.
+    """
     table = np.zeros((3, 16))
     first = int(SHIFT.view(np.uint32)) >> DIGITS
     for piece in range(first, first + 16):
         low, high = (np.uint32(k << DIGITS).view(np.float32).astype(float) - float(SHIFT) for k in (piece, piece + 1))
-        x = (low + high) / 2 + (high - low) / 2 * np.cos(np.pi * (np.arange(3) + 0.5) / 3)
+        share = (1 - np.cos(np.pi * (np.arange(3) + 0.5) / 3)) / 2 if high > TURN else np.array([0, 0.5, 1])
+        if piece == first:
+            share[1] = 3 - np.sqrt(8)
+        x = low + (high - low) * share
         table[:, piece % 16] = np.linalg.solve(x[:, None] ** np.arange(3), np.tanh(x))
     table[0, first % 16] = 0.0
     return table
@@ -68,7 +79,7 @@ def parabolas() -> np.ndarray:
 
 def by_parabolas(table: np.ndarray, x: np.ndarray) -> np.ndarray:
     """What the kernels for bfloat16 compute, but for the rounding of fused multiply-adds."""
-    size = np.minimum(np.abs(x), np.float32(5.6249995))
+    size = np.minimum(np.abs(x), END)
     piece = ((size + SHIFT).view(np.uint32) >> DIGITS) % 16
     constant, slope, bend = table.astype(np.float32)[:, piece]
     return np.copysign((bend * size + slope) * size + constant, x)
@@ -91,7 +102,9 @@ def main() -> None:
         print(", ".join(f"{np.float32(c):.8g}f" for c in row))
     off = np.abs(by_parabolas(table, x) - exact)
     relative = (off[exact != 0] / np.abs(exact[exact != 0])).max()
-    print(f"parabolas: off by {off.max():.2g}, relatively {relative:.2g}")
+    print(f"parabolas up to {float(END):.9g}: off by {off.max():.2g}, relatively {relative:.2g}")
+    rising = by_parabolas(table, np.sort(x))
+    print(f"from {rising[0]:.8g} to {rising[-1]:.8g}, at most {max(-np.diff(rising).min(), 0):.2g} down")
 
 
 if __name__ == "__main__":
