@@ -115,8 +115,8 @@ struct GuideKernel {
   void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group, std::int32_t last_group,                \
                     LaneSums* sums) noexcept;                                                                               \
   void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, std::int32_t last_group) noexcept;          \
-  /* The solution, and what is left, in edges. */                                                                           \
-  void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept;                    \
+  /* The solution, whose square is summed up, and what is left, in edges. */                                                \
+  void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;    \
   /* Means of the neighbours' records minus the row's own, (16, padded). */                                                 \
   void neighbour_means(const float* records, const std::int32_t* starts, const std::int32_t* neighbours, std::int32_t rows, \
                        std::int32_t padded, std::int32_t first_group, std::int32_t last_group, float* means) noexcept;      \

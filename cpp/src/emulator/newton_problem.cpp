@@ -12,6 +12,7 @@
 #include <cstdint>
 #include <cstring>
 #include <map>
+#include <numeric>
 #include <string>
 #include <utility>
 
@@ -294,6 +295,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   for (std::vector<double>* array : {&positions, &start, &inertial, &last}) array->assign(3 * size(row_count), 0.0);
   saved.assign(3 * size(free_count), 0.0);
   lane_sums.resize(size(parts));
+  part_numbers.resize(size(parts));
   now = Positions::Zero(count, 3);
   target = Positions::Zero(count, 3);
 
@@ -660,14 +662,17 @@ double NewtonProblem::assemble_as(Tangent tangent) {
       const std::int32_t halo = halo_starts[size(part)];
       kernel.add_blocks(halo_places.data() + halo, (halo_starts[size(part) + 1] - halo) / 2, sums.data(), sums.data());
       kernel.assemble_rows(row_frame, part * part_groups, last_group(part), &lane_sums[size(part)]);
+      double& elastic = part_numbers[size(part)] = 0.0;
+      for (std::int32_t tet = part_tets[size(part)] * kNewtonGroup; tet < part_tets[size(part) + 1] * kNewtonGroup; ++tet) {
+        elastic += static_cast<double>(energies.data()[tet]);
+      }
     }
   }
   for (std::int64_t axis = 0; axis < 3; ++axis) {  // rows to spare move with no aggregate
     std::fill(roots.data() + axis * padded + free_count, roots.data() + (axis + 1) * padded, 0.0f);
   }
   residual_square = sum(0);
-  energy = sum(2);
-  for (std::int32_t tet = 0; tet < part_tets.back() * kNewtonGroup; ++tet) energy += static_cast<double>(energies.data()[tet]);
+  energy = std::accumulate(part_numbers.begin(), part_numbers.end(), sum(2));
   evaluated = true;
   return free_count ? std::sqrt(sum(1) / (3.0 * free_count)) : 0.0;
 }
@@ -696,7 +701,7 @@ double NewtonProblem::correct(std::int32_t first_part, std::int32_t last_part) {
 }
 
 // Every thread adds up the same sums and so goes the same way. The two that an iteration needs have places of their own, as one
-// thread may still be reading the first when another comes to the second.
+// thread may still be reading the first when another comes to the second, and so has what is summed up after the last one.
 void NewtonProblem::solve(int iterations) {
   if (solve_as_assembled(iterations) || !tet_frame.exact) return;
   assemble_as(Tangent::convex);
@@ -747,21 +752,16 @@ bool NewtonProblem::solve_as_assembled(int iterations) {
       kernel.turn_rows(row_frame, static_cast<float>(next / square), first_group, end_group);
       square = next;
     }
-    kernel.unscale_rows(row_frame, first_group, end_group);
+    for (std::int32_t part = share.first; part < share.last; ++part) {
+      kernel.unscale_rows(row_frame, part * part_groups, last_group(part), &lane_sums[size(part)]);
+    }
     if (omp_get_thread_num() == 0) slope = -decrease;
   }
   return definite;
 }
 
 double NewtonProblem::direction_length() const {
-  double square = 0;
-  for (std::int64_t axis = 0; axis < 3; ++axis) {
-    const float* along = solution.data() + axis * padded;
-    float sum = 0;
-    for (std::int32_t row = 0; row < free_count; ++row) sum += along[row] * along[row];
-    square += static_cast<double>(sum);
-  }
-  return free_count ? std::sqrt(square / (3.0 * free_count)) : 0.0;
+  return free_count ? std::sqrt(sum(2) / (3.0 * free_count)) : 0.0;
 }
 
 // Constrained rows come after the padding.
@@ -843,6 +843,7 @@ void NewtonProblem::have_moved(const float* step, bool of_pass) {
 }
 
 void NewtonProblem::move(const float* step, bool of_pass) {
+#pragma omp parallel for schedule(static) num_threads(threads(15.0))
   for (std::int32_t group = 0; group < groups; ++group) move_group(step, group);
   have_moved(step, of_pass);
 }

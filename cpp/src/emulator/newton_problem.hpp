@@ -48,7 +48,7 @@ struct NewtonProblem {
   /// Finds the direction; `slope` is that of the energy along it. It is the convex tangent's where the exact one turns out not to
   /// be positive definite.
   void solve(int iterations);
-  /// Root mean square of the direction, in edges.
+  /// Root mean square of the direction that has just been found, in edges.
   double direction_length() const;
   /// What the guide of the start, or of a pass that has been solved, is told: brought up to date by `record` of every row, where it
   /// is a pass's, and then `describe` of every group, in whatever order. `describe_start` and `describe_pass` do it all.
@@ -107,6 +107,7 @@ struct NewtonProblem {
   std::vector<float> lumped_masses, half_log_stiffness, nearness, fullness;
   std::vector<double> positions, start, inertial, saved, last;  // z, its first value, y, z before a step, u(t); (rows, 3)
   std::vector<LaneSums> lane_sums;
+  std::vector<double> part_numbers;
   std::optional<CoarseRows> coarse;  // of large bodies
   TeamBarrier barrier;  // of the threads that share a pass
   int frames_alone = 0, next_frames_alone = 0;

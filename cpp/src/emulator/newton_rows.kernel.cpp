@@ -207,11 +207,16 @@ void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, st
   }
 }
 
-void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept {
-  for (std::int64_t row = std::int64_t{first_group} * kGroup; row < std::int64_t{last_group} * kGroup; row += kLanes) {
-    const Triple scale = load_triple(rows.scales + 4 * row);
-    store(rows.solution + row, rows.padded, times(load_triple(rows.solution + row, rows.padded), scale));
-    store(rows.preconditioned + row, rows.padded, times(load_triple(rows.preconditioned + row, rows.padded), scale));
+void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept {
+  for (int lane = 0; lane < kGroup; ++lane) sums->sums[2][lane] = 0.0f;
+  for (std::int64_t group = first_group; group < last_group; ++group) {
+    for (int lane = 0; lane < kGroup; lane += kLanes) {
+      const std::int64_t row = group * kGroup + lane;
+      const Triple scale = load_triple(rows.scales + 4 * row), found = times(load_triple(rows.solution + row, rows.padded), scale);
+      store(rows.solution + row, rows.padded, found);
+      store(rows.preconditioned + row, rows.padded, times(load_triple(rows.preconditioned + row, rows.padded), scale));
+      add_to(&sums->sums[2][lane], dot(found, found));
+    }
   }
 }
 
