@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /// @file
-/// Sums over aggregates of rows, for kernel files only: groups of 16 rows that follow each other and move as one in a coarse system.
+/// Sums over aggregates of rows, for kernel files only: groups of 16 rows that follow each other and move as one in a coarse
+/// system.
 #pragma once
 
 #include <cstdint>
@@ -36,8 +37,8 @@ struct AggregateSums {
   }
 };
 
-/// Calls work(group, lane, sums of the aggregate) for all rows, kLanes at a time, and puts three sums an aggregate into `restricted`
-/// where it is not null.
+/// Calls work(group, lane, sums of the aggregate) for all rows, kLanes at a time, and puts three sums an aggregate into
+/// `restricted` where it is not null.
 template <typename Work>
 inline void for_aggregates(float* restricted, std::int32_t first, std::int32_t last, const Work& work) {
   AggregateSums sums;

@@ -20,11 +20,6 @@ namespace {
 using Block = BlockMatrix::Block;
 using RowBlock = Eigen::Matrix<float, 3, 3, Eigen::RowMajor>;
 
-// Nodes have twice as many parts each until there are no more than so many.
-constexpr std::int32_t most_nodes = 96;
-// Of the answers: the diagonal, aggregates and nodes each answer for all that moves as one.
-constexpr double weight = 0.5;
-
 std::size_t size(std::int64_t count) { return static_cast<std::size_t>(count); }
 
 Block block_at(const float* from) { return Eigen::Map<const RowBlock>(from).cast<double>(); }
@@ -41,7 +36,7 @@ Block own_block_at(const float* from) {
 }  // namespace
 
 CoarseRows::CoarseRows(std::int32_t rows, std::int32_t part_groups, const std::vector<bool>& held,
-                       const std::vector<CoarseEntry>& entries)
+                       const std::vector<CoarseEntry>& entries, std::int32_t most_nodes)
     : part_aggregates_(part_groups / aggregate_groups) {
   const std::int32_t aggregate_rows = aggregate_groups * kNewtonGroup, part_rows = part_groups * kNewtonGroup;
   const std::int32_t parts = (rows + part_rows - 1) / part_rows;
@@ -98,9 +93,8 @@ CoarseRows::CoarseRows(std::int32_t rows, std::int32_t part_groups, const std::v
     add_row(entry.other, entry.row, entry.place);
     const std::int32_t part = entry.row / part_rows, other = entry.other / part_rows;
     if (node_of(part) == node_of(other)) continue;
-    const auto found =
-        std::lower_bound(part_pairs_.begin(), part_pairs_.end(), std::pair(part, other),
-                         [](const PartPair& a, const auto& b) { return std::pair(a.part, a.other) < b; });
+    const auto found = std::lower_bound(part_pairs_.begin(), part_pairs_.end(), std::pair(part, other),
+                                        [](const PartPair& a, const auto& b) { return std::pair(a.part, a.other) < b; });
     lists[size(part)].emplace_back(kBlock * (first_pair + static_cast<std::int32_t>(found - part_pairs_.begin())), entry.place);
   }
   pair_starts_.assign(1, 0);

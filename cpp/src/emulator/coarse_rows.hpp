@@ -28,10 +28,15 @@ struct CoarseEntry {
 
 class CoarseRows {
  public:
+  /// Of both answers: the diagonal, aggregates and nodes each answer for all that moves as one.
+  static constexpr double weight = 0.5;
+
   /// @param rows free ones
   /// @param part_groups groups of 16 rows in a part, whole aggregates
   /// @param held (rows,) those with a constrained neighbour
-  CoarseRows(std::int32_t rows, std::int32_t part_groups, const std::vector<bool>& held, const std::vector<CoarseEntry>& entries);
+  /// @param most_nodes nodes have twice as many parts each until there are no more than so many
+  CoarseRows(std::int32_t rows, std::int32_t part_groups, const std::vector<bool>& held, const std::vector<CoarseEntry>& entries,
+             std::int32_t most_nodes = 96);
 
   /// Adds up what a part's rows have of the tets' sums. Parts may be added at the same time.
   void add_part(std::int32_t part, const float* sums);

@@ -39,7 +39,7 @@ constexpr std::int32_t part_rows = part_groups * kNewtonGroup;
 // Rows from which on the matrix is kept in 16 bits a number: smaller ones fit the second-level cache as they are.
 constexpr std::int32_t rounded_from = 1536;
 // Rows from which on conjugate gradients have a coarse system.
-constexpr std::int32_t coarse_system_from = 1024;
+constexpr std::int32_t coarse_system_from = 4096;
 // Rows that are sorted by their number of neighbours, so that the 16 of a group have about as many: an aggregate.
 constexpr std::size_t sorting_window = aggregate_groups * kNewtonGroup;
 // Rows that follow each other are compact in runs up to so many.
@@ -60,8 +60,9 @@ struct Kernels {
 
 Kernels kernels() {
   return {FOLLOWTHROUGH_KERNEL(add_tets),        FOLLOWTHROUGH_KERNEL(add_blocks),    FOLLOWTHROUGH_KERNEL(assemble_rows),
-          FOLLOWTHROUGH_KERNEL(assemble_blocks), FOLLOWTHROUGH_KERNEL(restrict_rows), FOLLOWTHROUGH_KERNEL(multiply_rows), FOLLOWTHROUGH_KERNEL(advance_rows),
-          FOLLOWTHROUGH_KERNEL(turn_rows),       FOLLOWTHROUGH_KERNEL(unscale_rows),  FOLLOWTHROUGH_KERNEL(neighbour_means)};
+          FOLLOWTHROUGH_KERNEL(assemble_blocks), FOLLOWTHROUGH_KERNEL(restrict_rows), FOLLOWTHROUGH_KERNEL(multiply_rows),
+          FOLLOWTHROUGH_KERNEL(advance_rows),    FOLLOWTHROUGH_KERNEL(turn_rows),     FOLLOWTHROUGH_KERNEL(unscale_rows),
+          FOLLOWTHROUGH_KERNEL(neighbour_means)};
 }
 
 using RowMatrix3f = Eigen::Matrix<float, 3, 3, Eigen::RowMajor>;
@@ -755,14 +756,15 @@ bool NewtonProblem::solve_as_assembled(int iterations) {
     for (std::int32_t part = share.first; part < share.last; ++part) {
       kernel.unscale_rows(row_frame, part * part_groups, last_group(part), &lane_sums[size(part)]);
     }
-    if (omp_get_thread_num() == 0) slope = -decrease;
+    if (omp_get_thread_num() == 0) {
+      slope = -decrease;
+      solved = square <= enough;
+    }
   }
   return definite;
 }
 
-double NewtonProblem::direction_length() const {
-  return free_count ? std::sqrt(sum(2) / (3.0 * free_count)) : 0.0;
-}
+double NewtonProblem::direction_length() const { return free_count ? std::sqrt(sum(2) / (3.0 * free_count)) : 0.0; }
 
 // Constrained rows come after the padding.
 std::int32_t NewtonProblem::offset_row(std::int32_t row) const { return row < free_count ? row : row + padded - free_count; }

@@ -109,7 +109,7 @@ struct NewtonProblem {
   std::vector<LaneSums> lane_sums;
   std::vector<double> part_numbers;
   std::optional<CoarseRows> coarse;  // of large bodies
-  TeamBarrier barrier;  // of the threads that share a pass
+  TeamBarrier barrier;               // of the threads that share a pass
   int frames_alone = 0, next_frames_alone = 0;
   Positions now, target;                                 // u(t), x(t+1), m
   Eigen::RowVector3d fall = Eigen::RowVector3d::Zero();  // of a free body in a frame, edges
@@ -118,6 +118,7 @@ struct NewtonProblem {
   double residual_square = 0;  // r . D^-1 r at the start of the conjugate gradients
   double energy = 0, slope = 0;
   bool began = false, evaluated = false;
+  bool solved = false;  // the last direction, to the tolerance
 
  private:
   void arrange(const NewtonBody& body);

@@ -31,13 +31,14 @@ class StepGuard {
   /// Of the conjugate gradients, where a pass is to have so many: twice as many once a step of the frame has left more than half of
   /// the residual. Stiff bodies and thin limbs bend in ways that reach far, and those iterations have not come to.
   int iterations(int of_pass) const { return slow_ ? 2 * of_pass : of_pass; }
-  /// Whether a guide may make the next step: the frame's first three, unless one after the first has left more than half of the
-  /// residual. From there the direction leads home faster, and bodies are stiffer or wilder than those that guides learned from.
-  bool guided() const { return guided_ && steps_ < most_guided; }
+  /// Whether a guide may make the step of the direction that has been found: where conjugate gradients were cut short, or it is one
+  /// of the frame's first three and none after the first has left more than half of the residual. From there the direction itself
+  /// leads home faster, and bodies are stiffer or wilder than those that guides learned from.
+  bool guided() const { return !problem_.solved || (guided_ && steps_ < most_guided); }
   /// Of the step that has been taken: the exact one where guides have done what they can and little was left before it already.
   /// @param expected_error before it, edges
   Tangent tangent(double expected_error) const {
-    return steps_ + 1 >= most_guided && expected_error < near_end ? Tangent::exact : Tangent::convex;
+    return problem_.solved && steps_ + 1 >= most_guided && expected_error < near_end ? Tangent::exact : Tangent::convex;
   }
   /// @brief What the estimate is off by, in edges, if passes go on as the last one did: the sum of what they would do.
   /// @param reach of the last pass's direction, over the residual that it was found for
