@@ -30,7 +30,9 @@ namespace {
 constexpr double smallest_stretch = 0.1;
 // Share of the cube over the longest edge below which a tet has no volume.
 constexpr double smallest_volume = 1e-14;
-constexpr double solver_tolerance = 0.01;
+// Share of the first preconditioned residual that conjugate gradients leave. That of the coarse system counts what reaches far as
+// well.
+constexpr double solver_tolerance = 0.003, coarse_tolerance = 0.01;
 // Frames that one thread does after threads have been in each other's way: twice as many each time, until they are not.
 constexpr int fewest_frames_alone = 64, most_frames_alone = 512;
 // Groups of 16 rows in a part: fixed, so that sums do not depend on threads.
@@ -703,29 +705,31 @@ double NewtonProblem::correct(std::int32_t first_part, std::int32_t last_part) {
 
 // Every thread adds up the same sums and so goes the same way. The two that an iteration needs have places of their own, as one
 // thread may still be reading the first when another comes to the second, and so has what is summed up after the last one.
-void NewtonProblem::solve(int iterations) {
-  if (solve_as_assembled(iterations) || !tet_frame.exact) return;
+void NewtonProblem::solve(int most) {
+  if (solve_as_assembled(most) || !tet_frame.exact) return;
   assemble_as(Tangent::convex);
-  solve_as_assembled(iterations);
+  solve_as_assembled(most);
 }
 
 // False where the tangent turned out not to be positive definite: the solution is then the last one before that showed.
-bool NewtonProblem::solve_as_assembled(int iterations) {
+bool NewtonProblem::solve_as_assembled(int most) {
   const Kernels kernel = kernels();
+  const double tolerance = coarse ? coarse_tolerance : solver_tolerance;
   bool definite = true;
-#pragma omp parallel num_threads(threads(10.0 * iterations))
+#pragma omp parallel num_threads(threads(10.0 * most))
   {
     const TeamShare share(parts);
     const std::int32_t first_group = share.first * part_groups, end_group = last_group(share.last - 1);
     double square = residual_square, decrease = 0;
     kernel.assemble_blocks(row_frame, first_group, end_group);
-    if (coarse && iterations > 0) {
+    if (coarse && most > 0) {
       make_coarse(share.first, share.last);
       square += correct(share.first, share.last);
       kernel.turn_rows(row_frame, 0.0f, first_group, end_group);
     }
-    const double enough = solver_tolerance * solver_tolerance * square;
-    for (int k = 0; k < iterations && square > enough && square > 0.0; ++k) {
+    const double enough = tolerance * tolerance * square;
+    int taken = 0;
+    for (; taken < most && square > enough && square > 0.0; ++taken) {
       barrier.wait();
       for (std::int32_t part = share.first; part < share.last; ++part) {
         kernel.multiply_rows(row_frame, part * part_groups, last_group(part), &lane_sums[size(part)]);
@@ -734,7 +738,7 @@ bool NewtonProblem::solve_as_assembled(int iterations) {
       const double curvature = sum(0);
       if (!(curvature > 0.0)) {
         if (omp_get_thread_num() == 0) definite = false;
-        if (k > 0) break;
+        if (taken > 0) break;
         decrease = residual_square;
         for (std::int64_t axis = 0; axis < 3 && first_group < end_group; ++axis) {
           const std::int64_t first_row = axis * padded + first_group * kNewtonGroup;
@@ -758,7 +762,7 @@ bool NewtonProblem::solve_as_assembled(int iterations) {
     }
     if (omp_get_thread_num() == 0) {
       slope = -decrease;
-      solved = square <= enough;
+      iterations = taken;
     }
   }
   return definite;

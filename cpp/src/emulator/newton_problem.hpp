@@ -45,9 +45,9 @@ struct NewtonProblem {
   /// it is not positive definite.
   /// @return root mean square of the first preconditioned residual
   double assemble(Tangent tangent);
-  /// Finds the direction; `slope` is that of the energy along it. It is the convex tangent's where the exact one turns out not to
-  /// be positive definite.
-  void solve(int iterations);
+  /// Finds the direction by so many iterations at most; `slope` is that of the energy along it. It is the convex tangent's where
+  /// the exact one turns out not to be positive definite.
+  void solve(int most);
   /// Root mean square of the direction that has just been found, in edges.
   double direction_length() const;
   /// What the guide of the start, or of a pass that has been solved, is told: brought up to date by `record` of every row, where it
@@ -118,7 +118,7 @@ struct NewtonProblem {
   double residual_square = 0;  // r . D^-1 r at the start of the conjugate gradients
   double energy = 0, slope = 0;
   bool began = false, evaluated = false;
-  bool solved = false;  // the last direction, to the tolerance
+  int iterations = 0;  // that the last direction took
 
  private:
   void arrange(const NewtonBody& body);
@@ -138,7 +138,7 @@ struct NewtonProblem {
   double sum(int which) const;
   double assemble_as(Tangent tangent);
   bool indefinite() const;
-  bool solve_as_assembled(int iterations);
+  bool solve_as_assembled(int most);
   void make_coarse(std::int32_t first_part, std::int32_t last_part);
   double correct(std::int32_t first_part, std::int32_t last_part);
   void find_nearness(const NewtonBody& body);

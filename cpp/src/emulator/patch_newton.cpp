@@ -169,6 +169,7 @@ void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::si
     if (!(left >= nothing_left && expected >= enough)) return;
     const PackedPass& pass = first[std::min(static_cast<std::size_t>(k), different - 1)];
     problem.solve(guard.iterations(pass.iterations));
+    guard.has_solved(pass.iterations);
     reach = problem.direction_length() / left;
     const bool guided = !pass.guide.layers.empty() && guard.guided();
     guard.before_step(guided, k + 1 == count);

@@ -59,7 +59,7 @@ TEST_CASE("guided Newton passes are the plain ones, with every architecture and 
       {{7, false, {}}},
   };
   const NewtonBody body = bent_block(4, 2, 2);
-  int from_reference = 0, exact_passes = 0;
+  int from_reference = 0;
   for (std::size_t a = 0; a < all.size(); ++a) {
     CAPTURE(a);
     NewtonSchedule schedule = random_schedule(static_cast<unsigned>(a), all[a]);
@@ -81,11 +81,9 @@ TEST_CASE("guided Newton passes are the plain ones, with every architecture and 
       }
       CHECK(moved > 0.05);
       from_reference += plain.from_reference;
-      exact_passes += plain.exact_passes;
     }
   }
   CHECK(from_reference > 0);
-  CHECK(exact_passes > 0);
 }
 
 TEST_CASE("guided Newton passes are the plain ones where tets reach from one part of the rows into others") {
@@ -148,6 +146,30 @@ TEST_CASE("a body so large that its matrix is kept in 16 bits moves as each of t
   }
 }
 
+TEST_CASE("where conjugate gradients find directions, the tangent is the exact one near the end, unless that is indefinite") {
+  const Usual usual;
+  const NewtonBody body = bent_block(4, 2, 2);
+  NewtonSchedule schedule = random_schedule(31, {{200, true, {16}}});
+  schedule.most_passes = 7;
+  int exact_passes = 0, indefinite_passes = 0;
+  for (const InstructionSet set : available_instruction_sets()) {
+    CAPTURE(name_of(set));
+    use_instruction_set(set);
+    PlainNewton plain(body, schedule);
+    PatchNewton fast(body, schedule);
+    plain.reset(swinging(body.rest_positions, 0));
+    fast.reset(swinging(body.rest_positions, 0));
+    for (int frame = 1; frame <= 12; ++frame) {
+      const Positions reference = swinging(body.rest_positions, frame);
+      CHECK(difference(fast.step(reference), plain.step(reference)) < 1e-3);
+    }
+    exact_passes += plain.exact_passes;
+    indefinite_passes += plain.indefinite_passes;
+  }
+  CHECK(exact_passes > 20);
+  CHECK(indefinite_passes > 0);
+}
+
 TEST_CASE("a guide's step that makes the energy worse is not kept, with every instruction set") {
   const Usual usual;
   const NewtonBody body = bent_block(4, 2, 2);
@@ -192,7 +214,8 @@ TEST_CASE("results do not depend on threads, and instruction sets differ by roun
       // The large body's matrix is kept in 16 bits, whose rounding guides with random weights make too much of.
       if (large) continue;
       if (widest.empty()) widest = first;
-      for (std::size_t f = 0; f < first.size(); ++f) CHECK(difference(first[f], widest[f]) < 1e-4);
+      // Folds make much of rounding.
+      for (std::size_t f = 0; f < first.size(); ++f) CHECK(difference(first[f], widest[f]) < 1e-3);
     }
   }
 }

@@ -117,7 +117,7 @@ class PlainNewton {
     y_ = 2 * u[0] - u[1];
     z_ = y_;
     slow_ = false;
-    guides_ = true;
+    guides_ = directions_exact_ = true;
     steps_ = 0;
     rate_ = 0;
     Positions w = x1 - x0 - u[0] + u[1];
@@ -269,15 +269,17 @@ class PlainNewton {
         ++indefinite_passes;
       }
       exact_passes += exact_;
+      directions_exact_ = directions_exact_ && taken_ < pass.iterations;
       reach = g_.norm() / std::sqrt(3.0 * static_cast<double>(free_.size())) / before;
-      const bool of_guide = !pass.guide.empty() && (!solved_ || (guides_ && steps_ < 3)), last_one = k + 1 == schedule_.most_passes;
+      const bool of_guide = !pass.guide.empty() && (!directions_exact_ || (guides_ && steps_ < 3)),
+                 last_one = k + 1 == schedule_.most_passes;
       last = of_guide
                  ? guided(pass.guide, {g_, p_, l_, last, means(g_), means(l_)},
                           [&](Index v) -> std::vector<double> {
                             return {0.5 * std::log(diagonal(v).trace() / 3 / lumped_[v]), log_modulus(v), nearness(v), fullness(v)};
                           })
                  : g_;
-      exact_ = solved_ && steps_ >= 2 && expected < 0.02 && !last_one;
+      exact_ = directions_exact_ && steps_ >= 2 && expected < 0.02 && !last_one;
       const double share = keep(last, of_guide, last_one);
       rate_ = share == 0 ? 0.0 : left_ / before;
       slow_ = slow_ || rate_ > 0.5;
@@ -349,8 +351,8 @@ class PlainNewton {
     const Vector first = s;
     double square = r.dot(s);
     bool definite = true;
-    const double enough = 0.01 * 0.01 * square;
-    for (int k = 0; k < iterations && square > enough; ++k) {
+    const double enough = 0.003 * 0.003 * square;
+    for (taken_ = 0; taken_ < iterations && square > enough; ++taken_) {
       const Vector q = matrix * p;
       definite = p.dot(q) > 0;
       if (!definite) break;
@@ -369,7 +371,6 @@ class PlainNewton {
       l_.row(v) = s.segment<3>(3 * a).transpose();
     }
     slope_ = -before.dot(x);
-    solved_ = square <= enough;
     return definite;
   }
 
@@ -429,8 +430,8 @@ class PlainNewton {
   Positions y_, z_, gradient_, g_, p_, l_;
   double energy_ = 0, left_ = 0, slope_ = 0;
   bool slow_ = false;  // a step of the frame left more than half of the residual
-  bool guides_ = true, exact_ = false, solved_ = false;
-  int steps_ = 0;
+  bool guides_ = true, exact_ = false, directions_exact_ = true;
+  int steps_ = 0, taken_ = 0;  // of the frame; iterations of the last direction
   double rate_ = 0;
 };
 
