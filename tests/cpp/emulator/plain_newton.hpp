@@ -156,9 +156,9 @@ class PlainNewton {
     return u_[0];
   }
 
-  int not_kept = 0;                             ///< steps that made the energy worse
-  int from_reference = 0;                       ///< frames that went there
-  int exact_passes = 0, indefinite_passes = 0;  ///< with the exact tangent; with the convex one as that was indefinite
+  int not_kept = 0;        ///< steps that made the energy worse
+  int from_reference = 0;  ///< frames that went there
+  int exact_passes = 0;    ///< with the exact tangent
 
  private:
   struct Tet {
@@ -266,7 +266,6 @@ class PlainNewton {
         exact_ = false;
         assemble();
         solve(iterations);
-        ++indefinite_passes;
       }
       exact_passes += exact_;
       directions_exact_ = directions_exact_ && taken_ < pass.iterations;
