@@ -50,7 +50,7 @@ class TeamBarrier {
  private:
   using Clock = std::chrono::steady_clock;
   static constexpr int patience = 5000;  // microseconds: on an idle machine the others are there by then
-  static constexpr std::chrono::microseconds long_wait{500}, tolerated_waits{2000};
+  static constexpr std::chrono::microseconds long_wait{500}, tolerated_waits{1000};
   std::atomic<int> arrived_{0};
   std::atomic<Clock::rep> waited_{0};
   std::atomic<bool> crowded_{false};

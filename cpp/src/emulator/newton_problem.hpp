@@ -3,7 +3,7 @@
 /// The backward Euler problem of a frame, at an estimate: arrays for the kernels, and what runs them. newton_patches.hpp says what
 /// is computed.
 ///
-/// Rows are free vertices along a curve through the volume, then the constrained ones next to them.
+/// Rows are free vertices, compact in runs (compact_order.hpp), then the constrained ones next to them.
 #pragma once
 
 #include <array>
