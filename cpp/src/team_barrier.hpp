@@ -33,7 +33,7 @@ class TeamBarrier {
     const auto now = Clock::now();
     if (now - since > long_wait) {
       const auto waited = waited_.fetch_add((now - since).count(), std::memory_order_relaxed) + (now - since).count();
-      if (Clock::duration(waited / team) > tolerated_waits + (now - forgotten_) / 4)
+      if (Clock::duration(waited / team) > tolerated_waits + (now - forgotten_) / 10)
         crowded_.store(true, std::memory_order_relaxed);
     }
   }
