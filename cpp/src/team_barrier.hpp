@@ -28,22 +28,34 @@ class TeamBarrier {
     for (int tries = 0; tries < patience; ++tries) {
       if (is_over()) return;
     }
-    const auto since = std::chrono::steady_clock::now();
+    const auto since = Clock::now();
     while (!is_over()) std::this_thread::yield();
-    if (std::chrono::steady_clock::now() - since > long_wait) long_waits_.fetch_add(1, std::memory_order_relaxed);
+    const auto now = Clock::now();
+    if (now - since > long_wait) {
+      const auto waited = waited_.fetch_add((now - since).count(), std::memory_order_relaxed) + (now - since).count();
+      if (Clock::duration(waited / team) > tolerated_waits + (now - forgotten_) / 10)
+        crowded_.store(true, std::memory_order_relaxed);
+    }
   }
 
-  /// Whether threads have waited long for each other so often since `forget` that one alone would have been sooner: they have no
-  /// processor each.
-  bool crowded() const noexcept { return long_waits_.load(std::memory_order_relaxed) > tolerated_waits; }
-  void forget() noexcept { long_waits_.store(0, std::memory_order_relaxed); }
+  /// Whether each thread has waited for the others so long since `forget`, beside the time that has passed, that one alone would
+  /// have been sooner: they have no processor each. Shares of work that differ are another matter.
+  bool crowded() const noexcept { return crowded_.load(std::memory_order_relaxed); }
+  void forget() noexcept {
+    waited_.store(0, std::memory_order_relaxed);
+    crowded_.store(false, std::memory_order_relaxed);
+    forgotten_ = Clock::now();
+  }
 
  private:
+  using Clock = std::chrono::steady_clock;
   static constexpr int patience = 5000;  // microseconds: on an idle machine the others are there by then
-  static constexpr int tolerated_waits = 8;
-  static constexpr std::chrono::microseconds long_wait{500};
-  std::atomic<int> arrived_{0}, long_waits_{0};
+  static constexpr std::chrono::microseconds long_wait{500}, tolerated_waits{1000};
+  std::atomic<int> arrived_{0};
+  std::atomic<Clock::rep> waited_{0};
+  std::atomic<bool> crowded_{false};
   std::atomic<unsigned> round_{0};
+  Clock::time_point forgotten_ = Clock::now();
 };
 
 /// The thread's share of `count` items, [first, last): the same items every time, so that they stay in its processor's caches.

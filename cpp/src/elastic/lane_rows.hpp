@@ -9,13 +9,12 @@
 
 #include <cstdint>
 
+#include "aggregates.hpp"
 #include "elastic/element_batch.hpp"
 
 namespace followthrough {
 
 inline constexpr std::int32_t row_lanes = 16;
-/// Groups that follow each other form an aggregate: one that moves as a whole in the coarse system.
-inline constexpr std::int32_t aggregate_groups = 4;
 
 /// Slots of a group are 16 blocks, one of each of its rows; the first one is the diagonal. Where a row has no more neighbours its
 /// lane is the row itself with zeros.

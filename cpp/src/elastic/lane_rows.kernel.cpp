@@ -2,6 +2,7 @@
 // Products are rounded before they are added, fused nowhere, so that all instruction sets give the same bits.
 #include "elastic/lane_rows.hpp"
 
+#include "aggregate_lanes.hpp"
 #include "block_lanes.hpp"
 #include "lane_algebra.hpp"
 
@@ -52,42 +53,6 @@ inline bool invert_diagonal(const float* block, float* inverse) {
 
 inline void clear(RowSums* sums) {
   for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = sums->sums[1][lane] = 0.0f;
-}
-inline void add_to(float* sum, Real value) { store(sum, load_real(sum) + value); }
-
-// Sums of the residual over an aggregate, lane by lane until it ends.
-struct AggregateSums {
-  float lanes[3][kGroup];
-  void clear() {
-    for (auto& axis : lanes) {
-      for (float& lane : axis) lane = 0.0f;
-    }
-  }
-  void add(int lane, Triple value) {
-    add_to(&lanes[0][lane], value.x);
-    add_to(&lanes[1][lane], value.y);
-    add_to(&lanes[2][lane], value.z);
-  }
-  void fold_into(float* to) {
-    for (int axis = 0; axis < 3; ++axis) {
-      for (int half = kGroup / 2; half > 0; half /= 2) {
-        for (int lane = 0; lane < half; ++lane) lanes[axis][lane] += lanes[axis][lane + half];
-      }
-      to[axis] = lanes[axis][0];
-    }
-  }
-};
-
-// Calls work(row, lane, sums of the aggregate) for all rows, kLanes at a time.
-template <typename Work>
-inline void for_aggregates(float* restricted, std::int32_t first, std::int32_t last, const Work& work) {
-  AggregateSums sums;
-  for (std::int64_t group = first; group < last; ++group) {
-    if (group == first || group % aggregate_groups == 0) sums.clear();
-    for (int lane = 0; lane < kGroup; lane += kLanes) work(group, lane, sums);
-    const bool ends = group + 1 == last || (group + 1) % aggregate_groups == 0;
-    if (restricted && ends) sums.fold_into(restricted + group / aggregate_groups * 3);
-  }
 }
 
 }  // namespace

@@ -29,6 +29,7 @@ struct NewtonTets {
   const std::int32_t* places;   ///< (groups, 16, 10) in the sums; where nobody asks for a block, a place that nobody reads
   float* sums;                  ///< what is added to, and seven floats to spare
   float* energies;              ///< out: (groups, 16)
+  bool exact;                   ///< the tangent, which may be indefinite, not a convex one
   void (*raise_stretches)(float* deformation_gradient) noexcept;  ///< of an F, row by row, that may have small ones
 };
 
@@ -62,11 +63,15 @@ struct NewtonRows {
   float* product;
   float* solution;
   float* direction;  ///< (padded, 4)
+  // Of the coarse system (coarse_rows.hpp): its vectors have a row's roots where the aggregate moves.
+  float* roots;              ///< out: (3, padded) of the matrix's diagonal
+  float* restricted;         ///< out: (aggregates, 3) sums of roots times residual; null where there is no coarse system
+  const float* corrections;  ///< (aggregates, 3) what it adds to the preconditioned residual, over the roots; null likewise
 };
 
 /// Sums over a part, lane by lane.
 struct LaneSums {
-  float sums[3][kNewtonGroup];
+  float sums[4][kNewtonGroup];
 };
 
 /// Floats of a record: vectors of a row, one after the other, whose means over its neighbours are wanted.
@@ -100,16 +105,18 @@ struct GuideKernel {
 #define FOLLOWTHROUGH_DECLARE_NEWTON_KERNELS(isa)                                                                           \
   namespace isa {                                                                                                           \
   void add_tets(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept;                        \
-  /* Adds the block at the second of each pair of places to that at the first. */                                           \
-  void add_blocks(const std::int32_t* places, std::int32_t pairs, float* sums) noexcept;                                    \
+  /* Adds the block at the second of each pair of places in `from` to that at the first in `to`. */                         \
+  void add_blocks(const std::int32_t* places, std::int32_t pairs, const float* from, float* to) noexcept;                   \
   void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;   \
   void assemble_blocks(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept;                 \
+  /* The residual's sums over the aggregates. */                                                                            \
+  void restrict_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept;                   \
   void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;   \
   void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group, std::int32_t last_group,                \
                     LaneSums* sums) noexcept;                                                                               \
   void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, std::int32_t last_group) noexcept;          \
-  /* The solution, and what is left, in edges. */                                                                           \
-  void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept;                    \
+  /* The solution, whose square is summed up, and what is left, in edges. */                                                \
+  void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept;    \
   /* Means of the neighbours' records minus the row's own, (16, padded). */                                                 \
   void neighbour_means(const float* records, const std::int32_t* starts, const std::int32_t* neighbours, std::int32_t rows, \
                        std::int32_t padded, std::int32_t first_group, std::int32_t last_group, float* means) noexcept;      \

@@ -12,9 +12,12 @@
 #include <cstdint>
 #include <cstring>
 #include <map>
+#include <numeric>
 #include <string>
 #include <utility>
 
+#include "aggregates.hpp"
+#include "elastic/compact_order.hpp"
 #include "emulator/patches.hpp"
 #include "followthrough/elastic/signed_svd.hpp"
 #include "followthrough/errors.hpp"
@@ -27,22 +30,29 @@ namespace {
 constexpr double smallest_stretch = 0.1;
 // Share of the cube over the longest edge below which a tet has no volume.
 constexpr double smallest_volume = 1e-14;
-constexpr double solver_tolerance = 0.003;
+// Share of the first preconditioned residual that conjugate gradients leave. That of the coarse system counts what reaches far as
+// well.
+constexpr double solver_tolerance = 0.003, coarse_tolerance = 0.01;
 // Frames that one thread does after threads have been in each other's way: twice as many each time, until they are not.
 constexpr int fewest_frames_alone = 64, most_frames_alone = 512;
 // Groups of 16 rows in a part: fixed, so that sums do not depend on threads.
 constexpr std::int32_t part_groups = 16;
 constexpr std::int32_t part_rows = part_groups * kNewtonGroup;
 // Rows from which on the matrix is kept in 16 bits a number: smaller ones fit the second-level cache as they are.
-constexpr std::int32_t coarse_from = 1536;
-// Rows that are sorted by their number of neighbours, so that the 16 of a group have about as many.
-constexpr std::size_t sorting_window = 64;
+constexpr std::int32_t rounded_from = 1536;
+// Rows from which on conjugate gradients have a coarse system.
+constexpr std::int32_t coarse_system_from = 4096;
+// Rows that are sorted by their number of neighbours, so that the 16 of a group have about as many: an aggregate.
+constexpr std::size_t sorting_window = aggregate_groups * kNewtonGroup;
+// Rows that follow each other are compact in runs up to so many.
+constexpr std::size_t longest_run = 2048;
 
 struct Kernels {
   decltype(&baseline::add_tets) add_tets;
   decltype(&baseline::add_blocks) add_blocks;
   decltype(&baseline::assemble_rows) assemble_rows;
   decltype(&baseline::assemble_blocks) assemble_blocks;
+  decltype(&baseline::restrict_rows) restrict_rows;
   decltype(&baseline::multiply_rows) multiply_rows;
   decltype(&baseline::advance_rows) advance_rows;
   decltype(&baseline::turn_rows) turn_rows;
@@ -52,8 +62,9 @@ struct Kernels {
 
 Kernels kernels() {
   return {FOLLOWTHROUGH_KERNEL(add_tets),        FOLLOWTHROUGH_KERNEL(add_blocks),    FOLLOWTHROUGH_KERNEL(assemble_rows),
-          FOLLOWTHROUGH_KERNEL(assemble_blocks), FOLLOWTHROUGH_KERNEL(multiply_rows), FOLLOWTHROUGH_KERNEL(advance_rows),
-          FOLLOWTHROUGH_KERNEL(turn_rows),       FOLLOWTHROUGH_KERNEL(unscale_rows),  FOLLOWTHROUGH_KERNEL(neighbour_means)};
+          FOLLOWTHROUGH_KERNEL(assemble_blocks), FOLLOWTHROUGH_KERNEL(restrict_rows), FOLLOWTHROUGH_KERNEL(multiply_rows),
+          FOLLOWTHROUGH_KERNEL(advance_rows),    FOLLOWTHROUGH_KERNEL(turn_rows),     FOLLOWTHROUGH_KERNEL(unscale_rows),
+          FOLLOWTHROUGH_KERNEL(neighbour_means)};
 }
 
 using RowMatrix3f = Eigen::Matrix<float, 3, 3, Eigen::RowMajor>;
@@ -170,8 +181,15 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   free_count = static_cast<std::int32_t>(patches.free.size());
   std::vector<bool> is_free(patches.vertices.size(), false);
   for (const Index row : patches.free) is_free[size(row)] = true;
-  std::vector<std::pair<std::int32_t, std::int32_t>> order;  // free neighbours, place in patches.free
+  std::vector<Index> compact, place_of(size(count), -1);
   for (std::int32_t i = 0; i < free_count; ++i) {
+    compact.push_back(patches.vertices[size(patches.free[size(i)])]);
+    place_of[size(compact.back())] = i;
+  }
+  order_compactly(body.rest_positions, sorting_window, longest_run, compact);
+  std::vector<std::pair<std::int32_t, std::int32_t>> order;  // free neighbours, place in patches.free
+  for (const Index vertex : compact) {
+    const std::int32_t i = place_of[size(vertex)];
     std::int32_t free_neighbours = 0;
     for (Index e = ring_starts[size(i)]; e < ring_starts[size(i) + 1]; ++e) {
       free_neighbours += is_free[size(patches.rings[0].neighbours[size(e)])];
@@ -235,6 +253,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   const std::vector<double> neighbour_masses = arrange_edges(tets);
   arrange_parts(tets);
   arrange_slots(neighbour_masses);
+  arrange_coarse(neighbour_masses);
 
   // Numbers of the rows.
   const std::size_t vector_size = 3 * size(padded);
@@ -246,9 +265,10 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   offsets = floats(4 * size(offset_row(row_count)));
   directions = floats(4 * size(padded));
   scales = floats(4 * size(padded));
+  roots = floats(vector_size);
   traces = floats(size(padded));
-  const bool coarse = free_count >= coarse_from;
-  if (coarse) {
+  const bool rounded = free_count >= rounded_from;
+  if (rounded) {
     coarse_blocks.assign(slot_columns.size() * kBlock, 0);
   } else {
     blocks = floats(slot_columns.size() * kBlock);
@@ -278,6 +298,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   for (std::vector<double>* array : {&positions, &start, &inertial, &last}) array->assign(3 * size(row_count), 0.0);
   saved.assign(3 * size(free_count), 0.0);
   lane_sums.resize(size(parts));
+  part_numbers.resize(size(parts));
   now = Positions::Zero(count, 3);
   target = Positions::Zero(count, 3);
 
@@ -305,7 +326,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
                scales.data(),
                traces.data(),
                blocks.data(),
-               coarse ? coarse_blocks.data() : nullptr,
+               rounded ? coarse_blocks.data() : nullptr,
                diagonal.data(),
                inverse.data(),
                first.data(),
@@ -313,7 +334,10 @@ void NewtonProblem::arrange(const NewtonBody& body) {
                preconditioned.data(),
                product.data(),
                solution.data(),
-               directions.data()};
+               directions.data(),
+               roots.data(),
+               coarse ? coarse->restricted() : nullptr,
+               coarse ? coarse->corrections() : nullptr};
   for (std::int32_t v = 0; v < 6; ++v) start_vectors.push_back(history.data() + 3 * v * static_cast<std::int64_t>(padded));
   pass_vectors = {solution.data(), first.data(), preconditioned.data(), motion.data()};
   for (std::int64_t v = 0; v < 3; ++v) {
@@ -468,6 +492,26 @@ void NewtonProblem::arrange_slots(const std::vector<double>& neighbour_masses) {
   border_masses = aligned(border_mass);
 }
 
+// Every free pair of neighbours, and what is on the diagonal.
+void NewtonProblem::arrange_coarse(const std::vector<double>& neighbour_masses) {
+  if (free_count < coarse_system_from) return;
+  std::vector<CoarseEntry> entries;
+  std::vector<bool> held(size(free_count), false);
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    const FreeEdges edges = free_edges(row);
+    held[size(row)] = edges.end < edge_starts[size(row) + 1];
+    // Of a tet each corner has a tenth of the mass on the diagonal, twice what it has with each of the others.
+    double own = 0;
+    for (Index edge = edge_starts[size(row)]; edge < edge_starts[size(row) + 1]; ++edge) own += neighbour_masses[size(edge)];
+    entries.push_back({row, row, row_places[size(row)], 2.0 / 3.0 * own});
+    for (Index edge = edges.higher; edge < edges.end; ++edge) {
+      const std::int32_t other = edge_rows[size(edge)];
+      entries.push_back({row, other, sum_place(row, other), neighbour_masses[size(edge)]});
+    }
+  }
+  coarse.emplace(free_count, part_groups, held, entries);
+}
+
 // The tets' numbers, as the groups have them.
 void NewtonProblem::fill_tets(const std::vector<RowTet>& slots) {
   corners.assign(4 * slots.size(), 0);
@@ -538,10 +582,11 @@ void NewtonProblem::find_islands() {
 }
 
 double NewtonProblem::sum(int which) const {
-  double total = 0;
+  double lanes[kNewtonGroup] = {}, total = 0;
   for (const LaneSums& part : lane_sums) {
-    for (const float lane : part.sums[which]) total += static_cast<double>(lane);
+    for (int lane = 0; lane < kNewtonGroup; ++lane) lanes[lane] += static_cast<double>(part.sums[which][lane]);
   }
+  for (const double lane : lanes) total += lane;
   return total;
 }
 
@@ -597,8 +642,17 @@ void NewtonProblem::begin(const NewtonHistory& h) {
   evaluated = false;
 }
 
-double NewtonProblem::assemble() {
+double NewtonProblem::assemble(Tangent tangent) {
+  const double left = assemble_as(tangent);
+  return tangent == Tangent::exact && indefinite() ? assemble_as(Tangent::convex) : left;
+}
+
+// Whether a diagonal block is known not to be positive definite.
+bool NewtonProblem::indefinite() const { return !(sum(3) == 0.0); }
+
+double NewtonProblem::assemble_as(Tangent tangent) {
   const Kernels kernel = kernels();
+  tet_frame.exact = tangent == Tangent::exact;
 #pragma omp parallel num_threads(threads(150.0))
   {
     const TeamShare share(parts);
@@ -609,29 +663,73 @@ double NewtonProblem::assemble() {
     barrier.wait();
     for (std::int32_t part = share.first; part < share.last; ++part) {
       const std::int32_t halo = halo_starts[size(part)];
-      kernel.add_blocks(halo_places.data() + halo, (halo_starts[size(part) + 1] - halo) / 2, sums.data());
+      kernel.add_blocks(halo_places.data() + halo, (halo_starts[size(part) + 1] - halo) / 2, sums.data(), sums.data());
       kernel.assemble_rows(row_frame, part * part_groups, last_group(part), &lane_sums[size(part)]);
+      double& elastic = part_numbers[size(part)] = 0.0;
+      for (std::int32_t tet = part_tets[size(part)] * kNewtonGroup; tet < part_tets[size(part) + 1] * kNewtonGroup; ++tet) {
+        elastic += static_cast<double>(energies.data()[tet]);
+      }
     }
   }
+  for (std::int64_t axis = 0; axis < 3; ++axis) {  // rows to spare move with no aggregate
+    std::fill(roots.data() + axis * padded + free_count, roots.data() + (axis + 1) * padded, 0.0f);
+  }
   residual_square = sum(0);
-  energy = sum(2);
-  for (std::int32_t tet = 0; tet < part_tets.back() * kNewtonGroup; ++tet) energy += static_cast<double>(energies.data()[tet]);
+  energy = std::accumulate(part_numbers.begin(), part_numbers.end(), sum(2));
   evaluated = true;
   return free_count ? std::sqrt(sum(1) / (3.0 * free_count)) : 0.0;
 }
 
-// Every thread adds up the same sums and so goes the same way. The two that an iteration needs have places of their own, as one
-// thread may still be reading the first when another comes to the second.
-void NewtonProblem::solve(int iterations) {
+// The coarse system of the tets' sums, and its share of the first direction. By all threads.
+void NewtonProblem::make_coarse(std::int32_t first_part, std::int32_t last_part) {
   const Kernels kernel = kernels();
-  const double enough = solver_tolerance * solver_tolerance * residual_square;
-#pragma omp parallel num_threads(threads(10.0 * iterations))
+  for (std::int32_t part = first_part; part < last_part; ++part) {
+    coarse->add_part(part, sums.data());
+    kernel.restrict_rows(row_frame, part * part_groups, last_group(part));
+  }
+  barrier.wait();
+  if (omp_get_thread_num() == 0) coarse->compute();
+  barrier.wait();
+}
+
+// The coarse system's share of the preconditioned residual. By all threads.
+// @return what it has of the product with the residual
+double NewtonProblem::correct(std::int32_t first_part, std::int32_t last_part) {
+  for (std::int32_t part = first_part; part < last_part; ++part) coarse->correct_part(part);
+  barrier.wait();
+  if (omp_get_thread_num() == 0) coarse->solve_nodes();
+  barrier.wait();
+  for (std::int32_t part = first_part; part < last_part; ++part) coarse->add_nodes(part);
+  return coarse->slope();
+}
+
+// Every thread adds up the same sums and so goes the same way. The two that an iteration needs have places of their own, as one
+// thread may still be reading the first when another comes to the second, and so has what is summed up after the last one.
+void NewtonProblem::solve(int most) {
+  if (solve_as_assembled(most) || !tet_frame.exact) return;
+  assemble_as(Tangent::convex);
+  solve_as_assembled(most);
+}
+
+// False where the tangent turned out not to be positive definite: the solution is then the last one before that showed.
+bool NewtonProblem::solve_as_assembled(int most) {
+  const Kernels kernel = kernels();
+  const double tolerance = coarse ? coarse_tolerance : solver_tolerance;
+  bool definite = true;
+#pragma omp parallel num_threads(threads(10.0 * most))
   {
     const TeamShare share(parts);
     const std::int32_t first_group = share.first * part_groups, end_group = last_group(share.last - 1);
     double square = residual_square, decrease = 0;
     kernel.assemble_blocks(row_frame, first_group, end_group);
-    for (int k = 0; k < iterations && square > enough && square > 0.0; ++k) {
+    if (coarse && most > 0) {
+      make_coarse(share.first, share.last);
+      square += correct(share.first, share.last);
+      kernel.turn_rows(row_frame, 0.0f, first_group, end_group);
+    }
+    const double enough = tolerance * tolerance * square;
+    int taken = 0;
+    for (; taken < most && square > enough && square > 0.0; ++taken) {
       barrier.wait();
       for (std::int32_t part = share.first; part < share.last; ++part) {
         kernel.multiply_rows(row_frame, part * part_groups, last_group(part), &lane_sums[size(part)]);
@@ -639,8 +737,9 @@ void NewtonProblem::solve(int iterations) {
       barrier.wait();
       const double curvature = sum(0);
       if (!(curvature > 0.0)) {
-        if (k > 0) break;
-        decrease = square;
+        if (omp_get_thread_num() == 0) definite = false;
+        if (taken > 0) break;
+        decrease = residual_square;
         for (std::int64_t axis = 0; axis < 3 && first_group < end_group; ++axis) {
           const std::int64_t first_row = axis * padded + first_group * kNewtonGroup;
           std::copy_n(preconditioned.data() + first_row, (end_group - first_group) * kNewtonGroup, solution.data() + first_row);
@@ -652,26 +751,24 @@ void NewtonProblem::solve(int iterations) {
       for (std::int32_t part = share.first; part < share.last; ++part) {
         kernel.advance_rows(row_frame, length, part * part_groups, last_group(part), &lane_sums[size(part)]);
       }
-      barrier.wait();
-      const double next = sum(1);
+      double next = coarse ? correct(share.first, share.last) : 0.0;
+      if (!coarse) barrier.wait();
+      next += sum(1);
       kernel.turn_rows(row_frame, static_cast<float>(next / square), first_group, end_group);
       square = next;
     }
-    kernel.unscale_rows(row_frame, first_group, end_group);
-    if (omp_get_thread_num() == 0) slope = -decrease;
+    for (std::int32_t part = share.first; part < share.last; ++part) {
+      kernel.unscale_rows(row_frame, part * part_groups, last_group(part), &lane_sums[size(part)]);
+    }
+    if (omp_get_thread_num() == 0) {
+      slope = -decrease;
+      iterations = taken;
+    }
   }
+  return definite;
 }
 
-double NewtonProblem::direction_length() const {
-  double square = 0;
-  for (std::int64_t axis = 0; axis < 3; ++axis) {
-    const float* along = solution.data() + axis * padded;
-    float sum = 0;
-    for (std::int32_t row = 0; row < free_count; ++row) sum += along[row] * along[row];
-    square += static_cast<double>(sum);
-  }
-  return free_count ? std::sqrt(square / (3.0 * free_count)) : 0.0;
-}
+double NewtonProblem::direction_length() const { return free_count ? std::sqrt(sum(2) / (3.0 * free_count)) : 0.0; }
 
 // Constrained rows come after the padding.
 std::int32_t NewtonProblem::offset_row(std::int32_t row) const { return row < free_count ? row : row + padded - free_count; }
@@ -752,6 +849,7 @@ void NewtonProblem::have_moved(const float* step, bool of_pass) {
 }
 
 void NewtonProblem::move(const float* step, bool of_pass) {
+#pragma omp parallel for schedule(static) num_threads(threads(15.0))
   for (std::int32_t group = 0; group < groups; ++group) move_group(step, group);
   have_moved(step, of_pass);
 }

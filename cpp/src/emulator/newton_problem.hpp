@@ -3,13 +3,15 @@
 /// The backward Euler problem of a frame, at an estimate: arrays for the kernels, and what runs them. newton_patches.hpp says what
 /// is computed.
 ///
-/// Rows are free vertices along a curve through the volume, then the constrained ones next to them.
+/// Rows are free vertices, compact in runs (compact_order.hpp), then the constrained ones next to them.
 #pragma once
 
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
+#include "emulator/coarse_rows.hpp"
 #include "emulator/newton_kernel.hpp"
 #include "emulator/packed_layers.hpp"
 #include "followthrough/emulator/newton_patches.hpp"
@@ -29,6 +31,9 @@ struct RowTet {
   double volume = 0, mass = 0, mu = 0, lambda = 0, resistance = 0;
 };
 
+/// Of the equations at an estimate (newton_tets.kernel.cpp). The exact one leads home fastest from nearby, but may be indefinite.
+enum class Tangent { convex, exact };
+
 struct NewtonProblem {
   explicit NewtonProblem(const NewtonBody& body);
 
@@ -36,12 +41,14 @@ struct NewtonProblem {
   int threads(double nanoseconds_a_row) const;
   /// The estimate starts on y.
   void begin(const NewtonHistory& history);
-  /// Evaluates the estimate: equations, residual, energy.
+  /// Evaluates the estimate: equations, residual, energy. The exact tangent gives way to the convex one where a diagonal block of
+  /// it is not positive definite.
   /// @return root mean square of the first preconditioned residual
-  double assemble();
-  /// Finds the direction; `slope` is that of the energy along it.
-  void solve(int iterations);
-  /// Root mean square of the direction, in edges.
+  double assemble(Tangent tangent);
+  /// Finds the direction by so many iterations at most; `slope` is that of the energy along it. It is the convex tangent's where
+  /// the exact one turns out not to be positive definite.
+  void solve(int most);
+  /// Root mean square of the direction that has just been found, in edges.
   double direction_length() const;
   /// What the guide of the start, or of a pass that has been solved, is told: brought up to date by `record` of every row, where it
   /// is a pass's, and then `describe` of every group, in whatever order. `describe_start` and `describe_pass` do it all.
@@ -93,14 +100,16 @@ struct NewtonProblem {
       slot_places, border_starts, border_columns;
   std::vector<std::int16_t> coarse_blocks;
   AlignedFloats gradients, materials, energies, sums, slot_masses, slot_turned, border_masses, masses, offsets, scales, traces,
-      blocks, diagonal, inverse, residual, preconditioned, directions, product, solution, first, saved_solution;
+      roots, blocks, diagonal, inverse, residual, preconditioned, directions, product, solution, first, saved_solution;
   // What guides are told, and what they say. Each vector is (3,padded), each number (padded,).
   AlignedFloats history, means, records, motion, log_squares, log_diagonals, inverse_squares, steps;
   std::vector<const float*> start_vectors, pass_vectors, start_scalars, pass_scalars;
   std::vector<float> lumped_masses, half_log_stiffness, nearness, fullness;
   std::vector<double> positions, start, inertial, saved, last;  // z, its first value, y, z before a step, u(t); (rows, 3)
   std::vector<LaneSums> lane_sums;
-  TeamBarrier barrier;  // of the threads that share a pass
+  std::vector<double> part_numbers;
+  std::optional<CoarseRows> coarse;  // of large bodies
+  TeamBarrier barrier;               // of the threads that share a pass
   int frames_alone = 0, next_frames_alone = 0;
   Positions now, target;                                 // u(t), x(t+1), m
   Eigen::RowVector3d fall = Eigen::RowVector3d::Zero();  // of a free body in a frame, edges
@@ -109,12 +118,14 @@ struct NewtonProblem {
   double residual_square = 0;  // r . D^-1 r at the start of the conjugate gradients
   double energy = 0, slope = 0;
   bool began = false, evaluated = false;
+  int iterations = 0;  // that the last direction took
 
  private:
   void arrange(const NewtonBody& body);
   std::vector<double> arrange_edges(const std::vector<RowTet>& tets);
   void arrange_parts(const std::vector<RowTet>& tets);
   void arrange_slots(const std::vector<double>& neighbour_masses);
+  void arrange_coarse(const std::vector<double>& neighbour_masses);
   void fill_tets(const std::vector<RowTet>& slots);
   struct FreeEdges {
     Index begin, higher, end;
@@ -125,6 +136,11 @@ struct NewtonProblem {
   Eigen::RowVector3d reference_of(std::int32_t row) const;
   std::int32_t last_group(std::int32_t part) const;
   double sum(int which) const;
+  double assemble_as(Tangent tangent);
+  bool indefinite() const;
+  bool solve_as_assembled(int most);
+  void make_coarse(std::int32_t first_part, std::int32_t last_part);
+  double correct(std::int32_t first_part, std::int32_t last_part);
   void find_nearness(const NewtonBody& body);
   void find_islands();
   double lumped_inertia(std::int32_t row, const Eigen::RowVector3d& there) const;

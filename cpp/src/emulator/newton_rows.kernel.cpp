@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 // Lanes are rows of the matrix, so that a product needs no sum across lanes.
+#include "aggregate_lanes.hpp"
 #include "block_lanes.hpp"
 #include "emulator/newton_kernel.hpp"
 #include "lane_algebra.hpp"
@@ -101,7 +102,9 @@ inline void multiply_rows(const NewtonRows& rows, const Stored* blocks, std::int
 void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept {
   const Real zero = real(0.0f), one = real(1.0f);
   const Triple none{zero, zero, zero};
-  for (int lane = 0; lane < kGroup; ++lane) sums->sums[0][lane] = sums->sums[1][lane] = sums->sums[2][lane] = 0.0f;
+  for (int lane = 0; lane < kGroup; ++lane) {
+    for (auto& sum : sums->sums) sum[lane] = 0.0f;
+  }
   for (std::int64_t group = first_group; group < last_group; ++group) {
     const std::int64_t row = group * kGroup;
     for (int lane = 0; lane < kGroup; lane += kLanes) {
@@ -109,11 +112,16 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
       gather_blocks(rows.sums, rows.row_places + row + lane, own);
       const Real mass = load_real(rows.masses + row + lane);
       const Triple d{own[0] + mass, own[1] + mass, own[2] + mass};
-      const Triple scale{one / root(d.x), one / root(d.y), one / root(d.z)};
+      const Triple roots{root(d.x), root(d.y), root(d.z)};
+      const Triple scale{one / roots.x, one / roots.y, one / roots.z};
       const Symmetric scaled{
           one, one, one, own[3] * (scale.x * scale.y), own[4] * (scale.x * scale.z), own[5] * (scale.y * scale.z)};
       const Symmetric inverse = inverse_of(scaled);
+      // A NaN is not less than anything.
+      const Real minor = one - scaled.xy * scaled.xy;
+      const LaneMask definite = both(both(both(zero < d.x, zero < d.y), both(zero < d.z, zero < minor)), zero < inverse.zz);
       store(rows.scales + 4 * (row + lane), scale);
+      store(rows.roots + row + lane, rows.padded, roots);
       store(rows.traces + row + lane, d.x + d.y + d.z);
       store(rows.diagonal + group * 3 * kGroup + lane, kGroup, Triple{scaled.xy, scaled.xz, scaled.yz});
       store(rows.inverse + group * 6 * kGroup + lane, inverse);
@@ -132,6 +140,7 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
       store(rows.solution + row + lane, rows.padded, none);
       store(&sums->sums[0][lane], load_real(&sums->sums[0][lane]) + dot(residual, next));
       store(&sums->sums[1][lane], load_real(&sums->sums[1][lane]) + dot(first, first));
+      store(&sums->sums[3][lane], load_real(&sums->sums[3][lane]) + choose(definite, zero, one));
       // Between free vertices every product is met from either side.
       store(&sums->sums[2][lane], load_real(&sums->sums[2][lane]) + dot(offset, fma_of(inertia, real(0.5f), border)));
     }
@@ -154,37 +163,60 @@ void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
   }
 }
 
+void restrict_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept {
+  for_aggregates(rows.restricted, first_group, last_group, [&](std::int64_t group, int lane, AggregateSums& aggregate) {
+    const std::int64_t row = group * kGroup + lane;
+    aggregate.add(lane, times(load_triple(rows.roots + row, rows.padded), load_triple(rows.residual + row, rows.padded)));
+  });
+}
+
 void advance_rows(const NewtonRows& rows, float length, std::int32_t first_group, std::int32_t last_group,
                   LaneSums* sums) noexcept {
   for (int lane = 0; lane < kGroup; ++lane) sums->sums[1][lane] = 0.0f;
   const Real step = real(length), back = real(-length);
-  for (std::int64_t group = first_group; group < last_group; ++group) {
-    for (int lane = 0; lane < kGroup; lane += kLanes) {
-      const std::int64_t row = group * kGroup + lane;
-      store(rows.solution + row, rows.padded,
-            fma_of(load_triple(rows.direction + 4 * row), step, load_triple(rows.solution + row, rows.padded)));
-      const Triple left = fma_of(load_triple(rows.product + row, rows.padded), back, load_triple(rows.residual + row, rows.padded));
-      const Triple next = load_symmetric(rows.inverse + group * 6 * kGroup + lane) * left;
-      store(rows.residual + row, rows.padded, left);
-      store(rows.preconditioned + row, rows.padded, next);
-      store(&sums->sums[1][lane], load_real(&sums->sums[1][lane]) + dot(left, next));
-    }
-  }
+  for_aggregates(rows.restricted, first_group, last_group, [&](std::int64_t group, int lane, AggregateSums& aggregate) {
+    const std::int64_t row = group * kGroup + lane;
+    store(rows.solution + row, rows.padded,
+          fma_of(load_triple(rows.direction + 4 * row), step, load_triple(rows.solution + row, rows.padded)));
+    const Triple left = fma_of(load_triple(rows.product + row, rows.padded), back, load_triple(rows.residual + row, rows.padded));
+    const Triple next = load_symmetric(rows.inverse + group * 6 * kGroup + lane) * left;
+    store(rows.residual + row, rows.padded, left);
+    store(rows.preconditioned + row, rows.padded, next);
+    if (rows.restricted) aggregate.add(lane, times(load_triple(rows.roots + row, rows.padded), left));
+    add_to(&sums->sums[1][lane], dot(left, next));
+  });
 }
 
 void turn_rows(const NewtonRows& rows, float share, std::int32_t first_group, std::int32_t last_group) noexcept {
   const Real part = real(share);
-  for (std::int64_t row = std::int64_t{first_group} * kGroup; row < std::int64_t{last_group} * kGroup; row += kLanes) {
-    const Triple turned = fma_of(load_triple(rows.direction + 4 * row), part, load_triple(rows.preconditioned + row, rows.padded));
-    store(rows.direction + 4 * row, turned);
+  for (std::int64_t group = first_group; group < last_group; ++group) {
+    Triple coarse{real(0.0f), real(0.0f), real(0.0f)};
+    if (rows.corrections) {
+      const float* const own = rows.corrections + group / aggregate_groups * 3;
+      coarse = {real(own[0]), real(own[1]), real(own[2])};
+    }
+    for (int lane = 0; lane < kGroup; lane += kLanes) {
+      const std::int64_t row = group * kGroup + lane;
+      Triple next = load_triple(rows.preconditioned + row, rows.padded);
+      if (rows.corrections) {
+        const Triple roots = load_triple(rows.roots + row, rows.padded);
+        next = {fma_of(roots.x, coarse.x, next.x), fma_of(roots.y, coarse.y, next.y), fma_of(roots.z, coarse.z, next.z)};
+      }
+      store(rows.direction + 4 * row, fma_of(load_triple(rows.direction + 4 * row), part, next));
+    }
   }
 }
 
-void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept {
-  for (std::int64_t row = std::int64_t{first_group} * kGroup; row < std::int64_t{last_group} * kGroup; row += kLanes) {
-    const Triple scale = load_triple(rows.scales + 4 * row);
-    store(rows.solution + row, rows.padded, times(load_triple(rows.solution + row, rows.padded), scale));
-    store(rows.preconditioned + row, rows.padded, times(load_triple(rows.preconditioned + row, rows.padded), scale));
+void unscale_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept {
+  for (int lane = 0; lane < kGroup; ++lane) sums->sums[2][lane] = 0.0f;
+  for (std::int64_t group = first_group; group < last_group; ++group) {
+    for (int lane = 0; lane < kGroup; lane += kLanes) {
+      const std::int64_t row = group * kGroup + lane;
+      const Triple scale = load_triple(rows.scales + 4 * row), found = times(load_triple(rows.solution + row, rows.padded), scale);
+      store(rows.solution + row, rows.padded, found);
+      store(rows.preconditioned + row, rows.padded, times(load_triple(rows.preconditioned + row, rows.padded), scale));
+      add_to(&sums->sums[2][lane], dot(found, found));
+    }
   }
 }
 

@@ -81,7 +81,8 @@ inline void shares_of(const NewtonTets& tets, std::int64_t group, const float (*
     const Real pressure = resistance * gap * gap * real(-1.0f / 576.0f), bulk = resistance * gap * real(1.0f / 288.0f) * volume;
     const Real minor = s.x.x * s.y.y - s.x.y * s.x.y, determinant = dot(s.x, cross(s.y, s.z));
     const LaneMask stretched = both(both(zero < s.x.x, zero < minor), zero < determinant);
-    const Real near = choose(stretched, volume, zero), shear = volume * mu, spread = volume * lambda;
+    const Real near = tets.exact ? volume : choose(stretched, volume, zero), squeeze = tets.exact ? pressure * volume : zero;
+    const Real shear = volume * mu, spread = volume * lambda;
     Real strained = fma_of(czz, s.z.z, fma_of(cyy, s.y.y, cxx * s.x.x)) + dot({cxy, cxz, cyz}, {s.x.y, s.x.z, s.y.z}) * real(2.0f);
     strained = strained * real(0.25f) + resistance * gap * gap * gap * real(1.0f / 1728.0f);
     if (below) {
@@ -124,6 +125,15 @@ inline void shares_of(const NewtonTets& tets, std::int64_t group, const float (*
         k.x.x = k.x.x + along;
         k.y.y = k.y.y + along;
         k.z.z = k.z.z + along;
+        if (tets.exact) {
+          const Triple axis = f * cross(corner[b], corner[c]) * squeeze;
+          k.x.y = k.x.y + axis.z;
+          k.x.z = k.x.z - axis.y;
+          k.y.x = k.y.x - axis.z;
+          k.y.z = k.y.z + axis.x;
+          k.z.x = k.z.x + axis.y;
+          k.z.y = k.z.y - axis.x;
+        }
         store(&out[9 * block][lane], kGroup, k);
       }
     }
@@ -148,8 +158,8 @@ void add_tets(const NewtonTets& tets, std::int32_t first_group, std::int32_t las
   }
 }
 
-void add_blocks(const std::int32_t* places, std::int32_t pairs, float* sums) noexcept {
-  for (std::int32_t k = 0; k < pairs; ++k, places += 2) add_block(sums + places[0], sums + places[1]);
+void add_blocks(const std::int32_t* places, std::int32_t pairs, const float* from, float* to) noexcept {
+  for (std::int32_t k = 0; k < pairs; ++k, places += 2) add_block(to + places[0], from + places[1]);
 }
 
 }  // namespace followthrough::FOLLOWTHROUGH_ISA

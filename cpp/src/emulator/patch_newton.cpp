@@ -8,6 +8,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <utility>
 
@@ -161,14 +162,16 @@ void PatchNewton::Parts::take_guided_step(const PackedGuide& guide, bool of_pass
 
 // The last of the different passes is repeated.
 void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::size_t different, double enough) {
-  double reach = 1.0;
+  double reach = 1.0, expected = std::numeric_limits<double>::infinity();
   for (int k = 0; k < count; ++k) {
-    const double left = guard.evaluate();
-    if (!(left >= nothing_left && guard.expected_error(reach) >= enough)) return;
+    const double left = guard.evaluate(guard.tangent(expected));
+    expected = guard.expected_error(reach);
+    if (!(left >= nothing_left && expected >= enough)) return;
     const PackedPass& pass = first[std::min(static_cast<std::size_t>(k), different - 1)];
     problem.solve(guard.iterations(pass.iterations));
+    guard.has_solved(pass.iterations);
     reach = problem.direction_length() / left;
-    const bool guided = !pass.guide.layers.empty();
+    const bool guided = !pass.guide.layers.empty() && guard.guided();
     guard.before_step(guided, k + 1 == count);
     if (guided) {
       take_guided_step(pass.guide, true);

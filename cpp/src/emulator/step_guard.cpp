@@ -51,7 +51,7 @@ void StepGuard::before_step(bool guided, bool last) {
 double StepGuard::retake(double share) {
   taken_->share = share;
   problem_.go_back_and_move(share);
-  return problem_.assemble();
+  return problem_.assemble(tangent_);
 }
 
 // The whole direction has been taken: takes more of it where the energy is still falling there.
@@ -68,23 +68,26 @@ double StepGuard::expected_error(double reach) const {
   return rate_ > 0.0 ? left_ * std::max(reach, 1.0) / (1.0 - std::min(rate_, greatest_rate)) : left_;
 }
 
-double StepGuard::evaluate() {
-  if (!taken_) return left_ = problem_.assemble();
+double StepGuard::evaluate(Tangent tangent) {
+  tangent_ = tangent;
+  if (!taken_) return left_ = problem_.assemble(tangent_);
   const double before = taken_->left;
   left_ = evaluate_step();
   rate_ = before > 0.0 ? left_ / before : 0.0;
   slow_ = slow_ || rate_ > slow_rate;
+  guided_ = guided_ && (steps_ == 0 || rate_ <= slow_rate);
+  ++steps_;
   return left_;
 }
 
 double StepGuard::evaluate_step() {
-  left_ = problem_.assemble();
+  left_ = problem_.assemble(tangent_);
   int retries = 0;
   for (; !taken_->good(problem_.energy, left_); ++retries) {
     if (retries == most_retries) {
       problem_.go_back_and_move(0.0);
       taken_.reset();
-      problem_.assemble();
+      problem_.assemble(tangent_);
       return 0.0;
     }
     left_ = retake(taken_->share > 0.0 ? taken_->shorter_share(problem_.energy) : 1.0);
@@ -102,7 +105,7 @@ bool StepGuard::go_to_better_reference() {
   const auto none_goes = [&] { return std::find(goes.begin(), goes.end(), true) == goes.end(); };
   const auto go = [&] {
     problem_.go_to_reference(goes);
-    problem_.assemble();
+    problem_.assemble(Tangent::convex);
   };
   if (none_goes()) return false;
   problem_.save();

@@ -19,15 +19,29 @@ class StepGuard {
     taken_.reset();
     rate_ = 0;
     slow_ = false;
+    guided_ = directions_exact_ = true;
+    steps_ = 0;
   }
   /// @brief Evaluates the estimate. Where the step that led to it makes the energy worse, the direction is taken instead, or the
   /// part of it that brings the energy down, or, where compression makes the energy a cubic, more than all of it.
+  /// @param tangent of the estimate
   /// @return root mean square of the first preconditioned residual; 0 where nothing brought the energy down, so that nothing was
   /// moved
-  double evaluate();
+  double evaluate(Tangent tangent = Tangent::convex);
   /// Of the conjugate gradients, where a pass is to have so many: twice as many once a step of the frame has left more than half of
   /// the residual. Stiff bodies and thin limbs bend in ways that reach far, and those iterations have not come to.
   int iterations(int of_pass) const { return slow_ ? 2 * of_pass : of_pass; }
+  /// A direction has been found.
+  void has_solved(int of_pass) { directions_exact_ = directions_exact_ && (problem_.coarse || problem_.iterations < of_pass); }
+  /// Whether a guide may make the step of the direction that has been found. Where all of the frame's directions are exact, guides
+  /// make the first three steps, unless one after the first has left more than half of the residual: from there the direction
+  /// itself leads home faster. Elsewhere they know better than it how far to go.
+  bool guided() const { return !directions_exact_ || (guided_ && steps_ < most_guided); }
+  /// Of the step that has been taken: the exact one where guides have done what they can and little was left before it already.
+  /// @param expected_error before it, edges
+  Tangent tangent(double expected_error) const {
+    return directions_exact_ && steps_ + 1 >= most_guided && expected_error < near_end ? Tangent::exact : Tangent::convex;
+  }
   /// @brief What the estimate is off by, in edges, if passes go on as the last one did: the sum of what they would do.
   /// @param reach of the last pass's direction, over the residual that it was found for
   double expected_error(double reach) const;
@@ -56,6 +70,9 @@ class StepGuard {
     double shorter_share(double energy_there) const;
   };
 
+  static constexpr int most_guided = 3;
+  static constexpr double near_end = 0.02;
+
   double evaluate_step();
   double retake(double share);
   double lengthen(double left);
@@ -64,6 +81,10 @@ class StepGuard {
   std::optional<TakenStep> taken_;  // not evaluated yet
   double left_ = 0, rate_ = 0;      // of the last step: the residual that it left, and over that before it
   bool slow_ = false;               // a step of the frame left much
+  bool directions_exact_ = true;    // conjugate gradients with a coarse system, or that ended early
+  bool guided_ = true;              // and none after the first did
+  int steps_ = 0;                   // of the frame, evaluated
+  Tangent tangent_ = Tangent::convex;
 };
 
 }  // namespace followthrough

@@ -10,6 +10,7 @@
 #include <memory>
 #include <random>
 
+#include "emulator/newton_problem.hpp"
 #include "emulator/plain_newton.hpp"
 #include "emulator/random_network.hpp"
 #include "followthrough/elastic/implicit_euler.hpp"
@@ -146,6 +147,54 @@ TEST_CASE("a body so large that its matrix is kept in 16 bits moves as each of t
   }
 }
 
+TEST_CASE("where conjugate gradients find directions, the tangent is the exact one near the end") {
+  const Usual usual;
+  const NewtonBody body = bent_block(4, 2, 2);
+  NewtonSchedule schedule = random_schedule(31, {{200, true, {16}}});
+  schedule.most_passes = 7;
+  for (const InstructionSet set : available_instruction_sets()) {
+    CAPTURE(name_of(set));
+    use_instruction_set(set);
+    PlainNewton plain(body, schedule);
+    PatchNewton fast(body, schedule);
+    plain.reset(swinging(body.rest_positions, 0));
+    fast.reset(swinging(body.rest_positions, 0));
+    for (int frame = 1; frame <= 6; ++frame) {
+      const Positions reference = swinging(body.rest_positions, frame);
+      CHECK(difference(fast.step(reference), plain.step(reference)) < 1e-3);
+    }
+    CHECK(plain.exact_passes > 6);
+  }
+}
+
+TEST_CASE("an exact tangent that is indefinite gives way to the convex one") {
+  const Usual usual;
+  NewtonBody body = bent_block(8, 2, 2);
+  body.youngs_modulus *= 400.0;
+  const auto squeezed = [&](double share) { return Positions(body.rest_positions * Eigen::Vector3d(share, 1, 1).asDiagonal()); };
+  for (const InstructionSet set : available_instruction_sets()) {
+    CAPTURE(name_of(set));
+    use_instruction_set(set);
+    // Where even blocks of the diagonal are not positive definite, and where flesh is about to buckle.
+    for (const double share : {0.5, 0.93}) {
+      CAPTURE(share);
+      const Positions now = squeezed(share);
+      NewtonProblem exact(body), convex(body);
+      for (NewtonProblem* problem : {&exact, &convex}) problem->begin({{now, now, now, now}, {now, now, now, now}});
+      const double left = exact.assemble(Tangent::exact);
+      CHECK(exact.tet_frame.exact == (share > 0.6));
+      if (!exact.tet_frame.exact) CHECK(left == convex.assemble(Tangent::convex));
+      convex.assemble(Tangent::convex);
+      exact.solve(200);
+      convex.solve(200);
+      CHECK_FALSE(exact.tet_frame.exact);
+      CHECK(exact.slope == convex.slope);
+      CHECK(exact.slope < 0.0);
+      CHECK(exact.direction_length() == convex.direction_length());
+    }
+  }
+}
+
 TEST_CASE("a guide's step that makes the energy worse is not kept, with every instruction set") {
   const Usual usual;
   const NewtonBody body = bent_block(4, 2, 2);
@@ -190,7 +239,8 @@ TEST_CASE("results do not depend on threads, and instruction sets differ by roun
       // The large body's matrix is kept in 16 bits, whose rounding guides with random weights make too much of.
       if (large) continue;
       if (widest.empty()) widest = first;
-      for (std::size_t f = 0; f < first.size(); ++f) CHECK(difference(first[f], widest[f]) < 1e-4);
+      // Folds make much of rounding.
+      for (std::size_t f = 0; f < first.size(); ++f) CHECK(difference(first[f], widest[f]) < 1e-3);
     }
   }
 }

@@ -10,6 +10,7 @@
 #include <set>
 #include <vector>
 
+#include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <Eigen/SVD>
@@ -116,6 +117,9 @@ class PlainNewton {
     y_ = 2 * u[0] - u[1];
     z_ = y_;
     slow_ = false;
+    guides_ = directions_exact_ = true;
+    steps_ = 0;
+    rate_ = 0;
     Positions w = x1 - x0 - u[0] + u[1];
     for (Eigen::Index v = 0; v < z_.rows(); ++v) {
       if (!body_.constrained[v]) continue;
@@ -135,6 +139,7 @@ class PlainNewton {
       const Positions found = z_;
       const double energy = energy_;
       for (const Index v : free_) z_.row(v) = x1.row(v);
+      exact_ = false;
       assemble();
       if (energy_ < energy) {
         ++from_reference;
@@ -153,6 +158,7 @@ class PlainNewton {
 
   int not_kept = 0;        ///< steps that made the energy worse
   int from_reference = 0;  ///< frames that went there
+  int exact_passes = 0;    ///< with the exact tangent
 
  private:
   struct Tet {
@@ -189,7 +195,15 @@ class PlainNewton {
     return p;
   }
 
+  // With the convex tangent where a diagonal block of the exact one is not positive definite.
   void assemble() {
+    assemble_as(exact_);
+    if (!exact_) return;
+    for (const Index v : free_) exact_ = exact_ && diagonal(v).llt().info() == Eigen::Success;
+    if (!exact_) assemble_as(false);
+  }
+
+  void assemble_as(bool exact) {
     const Eigen::Index n = z_.rows();
     gradient_ = masses_ * (z_ - y_);
     // Without what free vertices have no part in.
@@ -221,7 +235,14 @@ class PlainNewton {
           const Eigen::Vector3d fi = f * gi, fj = f * gj, ai = a * gi, aj = a * gj;
           Eigen::Matrix3d k = tet.mu * (gi.dot(gj) * f * f.transpose() + fj * fi.transpose()) + tet.lambda * fi * fj.transpose() +
                               bulk * ai * aj.transpose();
-          if (stretched) k += gi.dot(s * gj) * one;
+          if (stretched || exact) k += gi.dot(s * gj) * one;
+          if (exact) {
+            // What turns the cofactors: d(A g_i) along j.
+            const Eigen::Vector3d axis = pressure * f * gi.cross(gj);
+            Eigen::Matrix3d turn;
+            turn << 0, axis.z(), -axis.y(), -axis.z(), 0, axis.x(), axis.y(), -axis.x(), 0;
+            k += turn;
+          }
           tangent_.block<3, 3>(3 * tet.corners[i], 3 * tet.corners[j]) += tet.volume * k;
         }
       }
@@ -233,21 +254,37 @@ class PlainNewton {
 
   void take_passes() {
     Positions last = Positions::Zero(z_.rows(), 3);
+    double reach = 1;
+    exact_ = false;
     for (int k = 0; k < schedule_.most_passes; ++k) {
       const NewtonPass& pass = schedule_.passes[std::min(static_cast<std::size_t>(k), schedule_.passes.size() - 1)];
       assemble();
       const double before = left_;
-      solve(slow_ ? 2 * pass.iterations : pass.iterations);
-      if (pass.guide.empty()) {
-        last = g_;
-      } else {
-        last = guided(pass.guide, {g_, p_, l_, last, means(g_), means(l_)}, [&](Index v) -> std::vector<double> {
-          return {0.5 * std::log(diagonal(v).trace() / 3 / lumped_[v]), log_modulus(v), nearness(v), fullness(v)};
-        });
+      const double expected = rate_ > 0 ? left_ * std::max(reach, 1.0) / (1 - std::min(rate_, 0.9)) : left_;
+      const int iterations = slow_ ? 2 * pass.iterations : pass.iterations;
+      if (!solve(iterations) && exact_) {
+        exact_ = false;
+        assemble();
+        solve(iterations);
       }
-      const double share = keep(last, !pass.guide.empty(), k + 1 == schedule_.most_passes);
+      exact_passes += exact_;
+      directions_exact_ = directions_exact_ && taken_ < pass.iterations;
+      reach = g_.norm() / std::sqrt(3.0 * static_cast<double>(free_.size())) / before;
+      const bool of_guide = !pass.guide.empty() && (!directions_exact_ || (guides_ && steps_ < 3)),
+                 last_one = k + 1 == schedule_.most_passes;
+      last = of_guide
+                 ? guided(pass.guide, {g_, p_, l_, last, means(g_), means(l_)},
+                          [&](Index v) -> std::vector<double> {
+                            return {0.5 * std::log(diagonal(v).trace() / 3 / lumped_[v]), log_modulus(v), nearness(v), fullness(v)};
+                          })
+                 : g_;
+      exact_ = directions_exact_ && steps_ >= 2 && expected < 0.02 && !last_one;
+      const double share = keep(last, of_guide, last_one);
+      rate_ = share == 0 ? 0.0 : left_ / before;
+      slow_ = slow_ || rate_ > 0.5;
+      guides_ = guides_ && (steps_ == 0 || rate_ <= 0.5);
+      ++steps_;
       if (share == 0) break;
-      slow_ = slow_ || left_ > 0.5 * before;
       if (share > 0) last = share * g_;
     }
   }
@@ -294,7 +331,8 @@ class PlainNewton {
 
   Eigen::Matrix3d diagonal(Index v) const { return tangent_.block<3, 3>(3 * v, 3 * v); }
 
-  void solve(int iterations) {
+  // False where the curvature along a direction was not positive: the last solution before that.
+  bool solve(int iterations) {
     const Eigen::Index f = static_cast<Eigen::Index>(free_.size());
     Eigen::MatrixXd matrix(3 * f, 3 * f), inverse = Eigen::MatrixXd::Zero(3 * f, 3 * f);
     Vector r(3 * f);
@@ -311,9 +349,12 @@ class PlainNewton {
     Vector x = Vector::Zero(3 * f), s = inverse * r, p = s;
     const Vector first = s;
     double square = r.dot(s);
+    bool definite = true;
     const double enough = 0.003 * 0.003 * square;
-    for (int k = 0; k < iterations && square > enough; ++k) {
+    for (taken_ = 0; taken_ < iterations && square > enough; ++taken_) {
       const Vector q = matrix * p;
+      definite = p.dot(q) > 0;
+      if (!definite) break;
       const double length = square / p.dot(q);
       x += length * p;
       r -= length * q;
@@ -329,6 +370,7 @@ class PlainNewton {
       l_.row(v) = s.segment<3>(3 * a).transpose();
     }
     slope_ = -before.dot(x);
+    return definite;
   }
 
   double nearness(Index v) const { return 1.0 / (1.0 + hops_[static_cast<std::size_t>(v)]); }
@@ -387,6 +429,9 @@ class PlainNewton {
   Positions y_, z_, gradient_, g_, p_, l_;
   double energy_ = 0, left_ = 0, slope_ = 0;
   bool slow_ = false;  // a step of the frame left more than half of the residual
+  bool guides_ = true, exact_ = false, directions_exact_ = true;
+  int steps_ = 0, taken_ = 0;  // of the frame; iterations of the last direction
+  double rate_ = 0;
 };
 
 }  // namespace followthrough

@@ -10,7 +10,8 @@
 /// (Irving et al. 2004): no stress term where the stress is not positive definite, none of the pressure's own.
 ///
 /// The estimate starts at y on free vertices, and at x(t+1) on constrained ones. A direction is a few iterations of conjugate
-/// gradients on the tangent, preconditioned by its 3x3 diagonal blocks.
+/// gradients on the tangent, preconditioned by its 3x3 diagonal blocks and, from 4096 free vertices on, by a coarse system of
+/// vertices that move as one.
 ///
 /// Vectors that the guide of the start is told, in this order:
 ///   w  [x(t+1) - x(t)] - [u(t) - u(t-1)]            r  x(t+1) - 2 x(t) + x(t-1)
@@ -91,7 +92,8 @@ class NewtonPatches {
   PatchFeatures start_features();
   /// @brief Gradient, tangent and direction at the estimate. A step that made the energy worse is taken back first
   /// (patch_newton.hpp).
-  /// @param iterations of the conjugate gradients, at most (NewtonPass); they stop at 0.003 of the first residual
+  /// @param iterations of the conjugate gradients, at most (NewtonPass); they stop at 0.003 of the first residual, with a coarse
+  /// system 0.01
   /// @return the root mean square, over free components, of the first preconditioned residual, in edges; 0 where no part of the
   ///   direction brought the energy down either
   double evaluate(int iterations);
