@@ -18,7 +18,14 @@ class StepGuard {
   void begin() {
     taken_.reset();
     rate_ = 0;
-    slow_ = false;
+    slow_ = eager_ = false;
+  }
+  /// Of a frame that begins again as the simulation does: from now on as many iterations as after a slow step, and steps along the
+  /// direction go farther wherever the energy still falls there, as the simulation's do.
+  void begin_again() {
+    taken_.reset();
+    rate_ = 0;
+    slow_ = eager_ = true;
   }
   /// @brief Evaluates the estimate. Where the step that led to it makes the energy worse, the direction is taken instead, or the
   /// part of it that brings the energy down, or, where compression makes the energy a cubic, more than all of it.
@@ -64,6 +71,7 @@ class StepGuard {
   std::optional<TakenStep> taken_;  // not evaluated yet
   double left_ = 0, rate_ = 0;      // of the last step: the residual that it left, and over that before it
   bool slow_ = false;               // a step of the frame left much
+  bool eager_ = false;              // whole steps may go farther
 };
 
 }  // namespace followthrough
