@@ -4,7 +4,8 @@
 The truth is the converged simulation, which is kept in a folder. Prints a Markdown table, a line a scene, in the paper's units: root mean
 squares of single frames from true history and of rollouts of 24, 48 and all frames; the least elastic energy, its standard deviation and
 the largest, each over that of the truth where that is not next to nothing; milliseconds a frame; of the simulation single frames,
-the worst of the rollouts and milliseconds. Then how many scenes meet the aims: single frames 0.003, every rollout 0.03, energies within 20 %.
+the worst of the rollouts and milliseconds. Then how many scenes meet the aims: single frames 0.003, every rollout 0.03, energies
+within 20 %.
 Every second scene, `--half choose`, is there to choose on; what is chosen is reported on the others.
 """
 
@@ -83,7 +84,9 @@ class Verdict:
         """By its scores."""
         off = (abs(ratio - 1) for ratio in energy_ratios(scores) if not math.isnan(ratio))
         return cls(
-            scores.single_frame <= MOST_SINGLE, worst_rollout(scores) <= MOST_ROLLOUT, max(off, default=0.0) <= MOST_ENERGY
+            scores.single_frame <= MOST_SINGLE,
+            worst_rollout(scores) <= MOST_ROLLOUT,
+            max(off, default=0.0) <= MOST_ENERGY,
         )
 
     @property
@@ -142,8 +145,13 @@ def summary(all_scores: Iterable[dict[str, Scores]]) -> str:
     for name in scores[0]:
         mine = [each[name] for each in scores]
         verdicts = [Verdict.of(each) for each in mine]
-        met = [f"{sum(getattr(v, aim) for v in verdicts)} of {len(mine)}" for aim in ("all", "single", "rollout", "energy")]
-        roots = [math.sqrt(np.mean([value(each) ** 2 for each in mine])) for value in (lambda s: s.single_frame, worst_rollout)]
+        met = [
+            f"{sum(getattr(v, aim) for v in verdicts)} of {len(mine)}" for aim in ("all", "single", "rollout", "energy")
+        ]
+        roots = [
+            math.sqrt(np.mean([value(each) ** 2 for each in mine]))
+            for value in (lambda s: s.single_frame, worst_rollout)
+        ]
         time = np.mean([each.ms_per_frame for each in mine])
         lines.append(f"| {' | '.join([name, *met])} | {roots[0]:.2g}, {roots[1]:.2g} | {time:.3g} |")
     return "\n".join(lines)
@@ -171,7 +179,9 @@ def main() -> None:
     wanted = half(arguments.half) if arguments.half else SCENES
     wanted = tuple(scene for scene in wanted if fnmatch.fnmatch(scene.name, arguments.pattern))
     if not wanted:
-        sys.exit(f"error: pattern: found no scene named {arguments.pattern}, expected some of: {'; '.join(s.name for s in SCENES)}")
+        sys.exit(
+            f"error: pattern: found no scene named {arguments.pattern}, expected some of: {'; '.join(s.name for s in SCENES)}"
+        )
     columns = ["scene", "free", "single", "rollout 24", "48", "all", "energy / truth: min, stdev, max", "ms"]
     columns += [f"simulation, {name}: single, rollout, ms" for name in compared if name != "emulator"] + ["missed"]
     print(f"| {' | '.join(columns)} |\n| --- |{' ---: |' * (len(columns) - 2)} --- |")

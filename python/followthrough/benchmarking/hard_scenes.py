@@ -55,7 +55,8 @@ class _Puppet:
 
 
 def _box(low: Cell, high: Cell) -> set[Cell]:
-    return set(itertools.product(*(range(a, b) for a, b in zip(low, high, strict=True))))
+    along_x, along_y, along_z = (range(a, b) for a, b in zip(low, high, strict=True))
+    return set(itertools.product(along_x, along_y, along_z))
 
 
 def _ball(radius: float) -> set[Cell]:
@@ -123,7 +124,12 @@ def _sheet() -> _Puppet:
     return _puppet(_box((-9, 0, -7), (9, 1, 7)), bones, ("hips", "chest"), 0.8)
 
 
-_PARTS = _box((-3, -2, 0), (2, 2, 7)) | _box((4, -1, 0), (7, 2, 5)) | _box((-9, -1, 5), (-5, 1, 7)) | _box((-1, -1, 10), (2, 2, 13))
+_PARTS = (
+    _box((-3, -2, 0), (2, 2, 7))
+    | _box((4, -1, 0), (7, 2, 5))
+    | _box((-9, -1, 5), (-5, 1, 7))
+    | _box((-1, -1, 10), (2, 2, 13))
+)
 _PART_BONES: list[Bone] = [
     ("hips", "", (0, 0, 0), (0, 0, 6)),
     ("arm", "hips", (4, 0, 3), (7, 0, 3)),
@@ -437,7 +443,10 @@ def _all_scenes() -> tuple[Scene, ...]:
     for motion in ("teleport", "jitter", "torn"):
         scenes += [Scene("bridge", motion, 5e5), Scene("block", motion, 5e6, frames_a_second=60)]
     scenes += [Scene("whips", "spin"), Scene("sheet", "stop"), Scene("sheet", "spin"), Scene("stalked", "spin")]
-    scenes += [Scene("block", "swing", rest="crumpled"), Scene("block", "dance", 5e5, rest="crumpled", frames_a_second=24)]
+    scenes += [
+        Scene("block", "swing", rest="crumpled"),
+        Scene("block", "dance", 5e5, rest="crumpled", frames_a_second=24),
+    ]
     for body in ("runner 15", "runner 20", "runner 25"):
         scenes += [
             Scene(body, "gallop", rest="first"),
