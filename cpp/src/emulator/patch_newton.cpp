@@ -27,10 +27,11 @@ constexpr double nothing_left = 1e-7;
 // Root mean square of the first step, in edges, from which on the tolerance is as it is given: calmer frames are solved as exactly
 // in proportion, so that what comes to rest does.
 constexpr double lively_step = 0.1;
-// A frame that after so many passes is still off by so many edges may have several solutions. It begins again where the simulation
+// A frame whose residuals after so many passes still add up to so many edges may have several solutions. (Directions of stiff and
+// thin flesh reach far beyond residuals, which says nothing of that.) It begins again where the simulation
 // does, to find the one that the simulation finds, with as many passes at most.
 constexpr int passes_before_doubt = 4, most_passes_again = 48;
-constexpr double doubtful_error = 0.01;
+constexpr double doubtful_error = 0.02;
 // How much of the way to where inertia leads, in halves, the simulation may start from.
 constexpr double least_inertia = -0.2, greatest_inertia = 2.2;
 
@@ -185,9 +186,8 @@ void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::si
   for (int k = 0; k < count; ++k) {
     const double left = guard.evaluate();
     if (!(left >= nothing_left)) return;
-    const double expected = guard.expected_error(reach);
-    if (!(expected >= enough || (again && k == 0))) return;
-    if (!again && k == passes_before_doubt && expected >= doubtful_error) {
+    if (!(guard.expected_error(reach) >= enough || (again && k == 0))) return;
+    if (!again && k == passes_before_doubt && guard.expected_error(1.0) >= doubtful_error) {
       again = true;
       return;
     }
