@@ -13,7 +13,7 @@ DEMO_OUTPUT ?= demo-output
 TRAINING_DATA ?= training-data
 BENCH_ARGS ?=
 
-.PHONY: weights bench-emulator bench-emulator-ablations bench-emulator-speed help setup demo test test-cpp test-python test-slow test-blender test-blender-versions test-training bench bench-bake bench-springs lint format types tidy sanitize extension wheel clean
+.PHONY: weights bench-emulator bench-emulator-ablations bench-emulator-scenes bench-emulator-speed help setup demo test test-cpp test-python test-slow test-blender test-blender-versions test-training bench bench-bake bench-springs lint format types tidy sanitize extension wheel clean
 
 help: ## List the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 24
@@ -87,6 +87,9 @@ bench-emulator-ablations: setup $(TRAINING_VENV)/.installed ## The paper's netwo
 	@$(VENV)/bin/followthrough dataset held-out --motions 2 -o $(TRAINING_DATA)/held-out
 	@OMP_NUM_THREADS=1 $(TRAINING_VENV)/bin/python cpp/bench/emulator_ablations.py $(TRAINING_DATA)/sphere --like $(TRAINING_DATA)/sphere-like \
 	  --dances $(TRAINING_DATA)/held-out --pattern 'test-*' -o $(TRAINING_DATA)/ablations
+
+bench-emulator-scenes: setup ## Errors and times of the emulator and the simulation on hard scenes, and how many meet the aims (a few minutes)
+	@OMP_NUM_THREADS=1 $(PY) cpp/bench/emulator_scenes.py $(TRAINING_DATA)/scenes $(BENCH_ARGS)
 
 bench-emulator-speed: $(TRAINING_VENV)/.installed ## Time of the emulator beside PyTorch, ONNX Runtime and the finite elements, by size
 	@$(TRAINING_VENV)/bin/followthrough benchmark emulator $(BENCH_ARGS)

@@ -883,6 +883,17 @@ Eigen::RowVector3d NewtonProblem::reference_of(std::int32_t row) const {
   return target.row(vertices[size(row)]) * inverse_length - fall;
 }
 
+void NewtonProblem::go_to(ConstPositions there) {
+  std::fill_n(motion.data(), 3 * size(padded), 0.0f);
+  for (std::int32_t row = 0; row < free_count; ++row) {
+    for (int k = 0; k < 3; ++k) {
+      const std::size_t place = 3 * size(row) + size(k);
+      positions[place] = there(vertices[size(row)], k) * inverse_length - fall[k];
+      offsets.data()[4 * offset_row(row) + k] = static_cast<float>(positions[place] - inertial[place]);
+    }
+  }
+}
+
 void NewtonProblem::go_to_reference(const std::vector<bool>& chosen) {
   std::fill_n(motion.data(), 3 * size(padded), 0.0f);
   for (std::int32_t row = 0; row < free_count; ++row) {

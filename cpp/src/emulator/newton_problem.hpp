@@ -70,6 +70,8 @@ struct NewtonProblem {
   void go_back_and_move(double share);
   /// Slope at the estimate, which has been evaluated, of the energy along the direction of `save`.
   double slope_along_saved() const;
+  /// Begins again with the free vertices at positions of all, m.
+  void go_to(ConstPositions there);
   /// Begins again with the free vertices of some islands at x(t+1). An island is free flesh that constrained vertices part from the
   /// rest, so that neither knows of the other within a frame.
   /// @param chosen (island_count,)

@@ -12,6 +12,8 @@
 #include <string>
 #include <utility>
 
+#include "elastic/descent.hpp"
+#include "elastic/local_rotations.hpp"
 #include "emulator/newton_problem.hpp"
 #include "emulator/packed_layers.hpp"
 #include "emulator/step_guard.hpp"
@@ -26,6 +28,14 @@ constexpr double nothing_left = 1e-7;
 // Root mean square of the first step, in edges, from which on the tolerance is as it is given: calmer frames are solved as exactly
 // in proportion, so that what comes to rest does.
 constexpr double lively_step = 0.1;
+// A frame whose residuals after so many passes still add up to so many edges may have several solutions. (Directions of stiff and
+// thin flesh reach far beyond residuals, which says nothing of that.) It begins again where the simulation
+// does, to find the one that the simulation finds, with as many passes at most.
+constexpr int passes_before_doubt = 4, most_passes_again = 48;
+constexpr double doubtful_error = 0.02;
+// How much of the way to where inertia leads, in halves, the simulation may start from.
+constexpr double least_inertia = -0.2, greatest_inertia = 2.2;
+
 decltype(&baseline::guide_rows) guide_kernel() { return FOLLOWTHROUGH_KERNEL(guide_rows); }
 
 void require_layer(const std::string& place, const DenseLayer& layer, Eigen::Index inputs, Eigen::Index outputs) {
@@ -70,6 +80,12 @@ struct PackedGuide {
   double cost = 0;  // multiply-adds a vertex
 };
 
+std::vector<std::array<Index, 4>> corners_of(const Tets& tets) {
+  std::vector<std::array<Index, 4>> corners;
+  for (Eigen::Index t = 0; t < tets.rows(); ++t) corners.push_back({tets(t, 0), tets(t, 1), tets(t, 2), tets(t, 3)});
+  return corners;
+}
+
 struct PackedPass {
   int iterations;
   PackedGuide guide;
@@ -102,11 +118,13 @@ struct PatchNewton::Parts {
   Parts(const NewtonBody& body, const NewtonSchedule& schedule);
   void take_guided_step(const PackedGuide& guide, bool of_pass);
   void take_passes(int count, const PackedPass* first, std::size_t different, double enough);
-  void take_all_passes(double enough);
+  void take_all_passes(ConstPositions next_reference, double enough);
+  void start_as_simulated(ConstPositions next_reference);
   void solve_frame(ConstPositions reference);
 
   NewtonProblem problem;
   StepGuard guard;
+  LocalRotations rotations;
   PackedGuide start;
   std::vector<PackedPass> passes;
   PackedPass extra;
@@ -117,12 +135,14 @@ struct PatchNewton::Parts {
   std::array<Positions, 4> dynamic;    // u(t), u(t-1), u(t-2), u(t-3)
   std::array<Positions, 3> reference;  // x(t), x(t-1), x(t-2)
   Positions next;                      // u(t+1)
+  bool again = false;                  // the frame has begun again as the simulation does
   std::int64_t frames = -1;            // since the reset; -1: never reset
 };
 
 PatchNewton::Parts::Parts(const NewtonBody& body, const NewtonSchedule& schedule)
     : problem((require_schedule(schedule), body)),
       guard(problem),
+      rotations(corners_of(body.tets), problem.count, problem.free_vertices),
       start(schedule.start),
       extra{schedule.extra_iterations, {}},
       most_passes(schedule.passes.empty() ? 0 : schedule.most_passes),
@@ -160,18 +180,24 @@ void PatchNewton::Parts::take_guided_step(const PackedGuide& guide, bool of_pass
   problem.have_moved(inputs.steps, of_pass);
 }
 
-// The last of the different passes is repeated.
+// The last of the different passes is repeated. Where a frame has begun again, a first pass shows how far its direction reaches,
+// and guides, which know little of such frames, have no say.
 void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::size_t different, double enough) {
   double reach = 1.0, expected = std::numeric_limits<double>::infinity();
   for (int k = 0; k < count; ++k) {
     const double left = guard.evaluate(guard.tangent(expected));
     expected = guard.expected_error(reach);
-    if (!(left >= nothing_left && expected >= enough)) return;
+    if (!(left >= nothing_left)) return;
+    if (!(expected >= enough || (again && k == 0))) return;
+    if (!again && k == passes_before_doubt && guard.expected_error(1.0) >= doubtful_error) {
+      again = true;
+      return;
+    }
     const PackedPass& pass = first[std::min(static_cast<std::size_t>(k), different - 1)];
     problem.solve(guard.iterations(pass.iterations));
     guard.has_solved(pass.iterations);
     reach = problem.direction_length() / left;
-    const bool guided = !pass.guide.layers.empty() && guard.guided();
+    const bool guided = !again && !pass.guide.layers.empty() && guard.guided();
     guard.before_step(guided, k + 1 == count);
     if (guided) {
       take_guided_step(pass.guide, true);
@@ -181,8 +207,50 @@ void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::si
   }
 }
 
-void PatchNewton::Parts::take_all_passes(double enough) {
+// The best of: the last offset from the reference, turned as the reference turns; half way from there to where inertia leads; where
+// the cubic through the energy at those two is least; the reference itself.
+void PatchNewton::Parts::start_as_simulated(ConstPositions next_reference) {
+  Positions turned = dynamic[0] - reference[0];
+  rotations.turn(reference[0], next_reference, turned);
+  turned += next_reference;
+  problem.go_to(turned);
+  problem.assemble(Tangent::convex);
+  const double energy = problem.energy;
+  const auto padded = static_cast<std::ptrdiff_t>(problem.padded);
+  for (std::int32_t row = 0; row < problem.free_count; ++row) {
+    for (int k = 0; k < 3; ++k) {
+      const std::size_t place = 3 * static_cast<std::size_t>(row) + static_cast<std::size_t>(k);
+      problem.solution.data()[k * padded + row] = static_cast<float>(0.5 * (problem.inertial[place] - problem.positions[place]));
+    }
+  }
+  problem.save();
+  const double slope = problem.slope_along_saved();
+  double best = energy, best_share = 0.0;
+  const auto consider = [&](double share) {
+    problem.go_back_and_move(share);
+    problem.assemble(Tangent::convex);
+    if (best <= problem.energy) return;
+    best = problem.energy;
+    best_share = share;
+  };
+  consider(1.0);
+  const double least = cubic_minimum(energy, slope, problem.energy, problem.slope_along_saved());
+  if (std::isfinite(least)) consider(std::clamp(least, least_inertia, greatest_inertia));
+  problem.go_to_reference(std::vector<bool>(problem.island_count, true));
+  problem.assemble(Tangent::convex);
+  if (problem.energy < best) return;
+  problem.go_back_and_move(best_share);
+  std::fill_n(problem.motion.data(), 3 * padded, 0.0f);
+}
+
+void PatchNewton::Parts::take_all_passes(ConstPositions next_reference, double enough) {
+  const bool before = again;
   take_passes(most_passes, passes.data(), passes.size(), enough);
+  if (again && !before) {
+    start_as_simulated(next_reference);
+    guard.begin_again();
+    take_passes(most_passes_again, passes.data(), passes.size(), enough);
+  }
   take_passes(extra_passes, &extra, 1, nothing_left);
   guard.end();
 }
@@ -190,6 +258,7 @@ void PatchNewton::Parts::take_all_passes(double enough) {
 void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
   problem.begin({{dynamic[0], dynamic[1], dynamic[2], dynamic[3]}, {next_reference, reference[0], reference[1], reference[2]}});
   guard.begin();
+  again = false;
   take_guided_step(start, false);
   double square = 0;
   for (int k = 0; k < 3; ++k) {
@@ -198,8 +267,8 @@ void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
   }
   const double liveliness = std::min(1.0, std::sqrt(square / (3.0 * std::max(problem.free_count, 1))) / lively_step);
   const double enough = std::max(tolerance * liveliness, nothing_left);
-  take_all_passes(enough);
-  if (most_passes + extra_passes > 0 && guard.go_to_better_reference()) take_all_passes(enough);
+  take_all_passes(next_reference, enough);
+  if (most_passes + extra_passes > 0 && guard.go_to_better_reference()) take_all_passes(next_reference, enough);
   if (!problem.finite()) problem.start_over();
   problem.write_estimate(next);
 }

@@ -92,7 +92,7 @@ double StepGuard::evaluate_step() {
     }
     left_ = retake(taken_->share > 0.0 ? taken_->shorter_share(problem_.energy) : 1.0);
   }
-  if (retries > 0 && taken_->share == 1.0) left_ = lengthen(left_);
+  if ((retries > 0 || eager_) && taken_->share == 1.0) left_ = lengthen(left_);
   taken_.reset();
   return left_;
 }

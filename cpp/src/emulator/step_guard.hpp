@@ -18,9 +18,16 @@ class StepGuard {
   void begin() {
     taken_.reset();
     rate_ = 0;
-    slow_ = false;
+    slow_ = eager_ = false;
     guided_ = directions_exact_ = true;
     steps_ = 0;
+  }
+  /// Of a frame that begins again as the simulation does: from now on as many iterations as after a slow step, and steps along the
+  /// direction go farther wherever the energy still falls there, as the simulation's do.
+  void begin_again() {
+    taken_.reset();
+    rate_ = 0;
+    slow_ = eager_ = true;
   }
   /// @brief Evaluates the estimate. Where the step that led to it makes the energy worse, the direction is taken instead, or the
   /// part of it that brings the energy down, or, where compression makes the energy a cubic, more than all of it.
@@ -85,6 +92,7 @@ class StepGuard {
   bool guided_ = true;              // and none after the first did
   int steps_ = 0;                   // of the frame, evaluated
   Tangent tangent_ = Tangent::convex;
+  bool eager_ = false;              // whole steps may go farther
 };
 
 }  // namespace followthrough

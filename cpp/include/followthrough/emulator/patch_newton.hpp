@@ -8,7 +8,9 @@
 /// system of large bodies. Near the end these have the exact tangent, unless that is indefinite.
 /// A step along the direction must bring the energy 1/2 (z - y) M (z - y) + W(z) down (Armijo's rule), a guide's must not raise it
 /// by more than its slope along the direction or a quarter, the last one's not at all. Else the direction is taken, or as much of
-/// it as does, or more where the energy still falls.
+/// it as does, or more where the energy still falls. A frame whose residuals still add up to a fiftieth of an edge after four
+/// passes may have several solutions: it begins again where the simulation starts a step (implicit_euler.hpp), with up to 48 passes
+/// without guides, to find the one that the simulation finds.
 ///
 /// A guide is a perceptron at every free vertex. It makes the coefficients of a weighted sum of the vectors of newton_patches.hpp,
 /// from their products (the signed root of |v_a . v_b| over the sum of the vectors' squares, plus 1e-9 where that is not zero) and
