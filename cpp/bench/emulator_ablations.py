@@ -59,6 +59,7 @@ def main() -> None:
         "--dances", type=Path, required=True, help="folder of sequences (followthrough dataset held-out)"
     )
     parser.add_argument("--pattern", default="*.npz", help="of the dances' files")
+    parser.add_argument("--frames", type=int, default=120, help="of each sequence to measure on (default %(default)s)")
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
     compared: dict[str, Maker] = {}
@@ -66,7 +67,7 @@ def main() -> None:
         compared[name] = emulator(trained(name, arguments.data, arguments.output, arguments.steps))
     for folder, pattern in ((arguments.like, "*.npz"), (arguments.dances, arguments.pattern)):
         print(f"\n{folder}\n")
-        print(table(measured(sorted(folder.glob(pattern)), compared)))
+        print(table(measured(sorted(folder.glob(pattern)), compared, arguments.frames)))
 
 
 if __name__ == "__main__":
