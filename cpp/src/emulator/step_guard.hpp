@@ -92,7 +92,7 @@ class StepGuard {
   bool guided_ = true;              // and none after the first did
   int steps_ = 0;                   // of the frame, evaluated
   Tangent tangent_ = Tangent::convex;
-  bool eager_ = false;              // whole steps may go farther
+  bool eager_ = false;  // whole steps may go farther
 };
 
 }  // namespace followthrough
