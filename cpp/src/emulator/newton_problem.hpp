@@ -35,6 +35,10 @@ struct RowTet {
 enum class Tangent { convex, exact };
 
 struct NewtonProblem {
+  /// Groups of 16 rows in a part: fixed, so that sums do not depend on threads.
+  static constexpr std::int32_t part_groups = 16;
+
+  /// (newton_arrangement.cpp)
   explicit NewtonProblem(const NewtonBody& body);
 
   /// How many threads to share work among.
