@@ -70,7 +70,7 @@ $(TRAINING_VENV)/.installed: $(TRAINING_VENV)/.tools $(SOURCES)
 test-training: $(TRAINING_VENV)/.installed ## The tests that need PyTorch, in a virtual environment of its own (.venv-training)
 	@$(TRAINING_VENV)/bin/python -m pytest tests/training
 
-weights: setup $(TRAINING_VENV)/.installed ## Make the emulator's weights again from nothing: data (10 minutes of one core), training (23 minutes)
+weights: setup $(TRAINING_VENV)/.installed ## Make the emulator's weights again from nothing: data (2 minutes of one core), training (17 to 23 minutes)
 	@mkdir -p $(TRAINING_DATA)
 	@$(VENV)/bin/followthrough dataset shapes --motions 240 --frames 90 --seed 2 --stiffness-range 0.7 4 -o $(TRAINING_DATA)/soft
 	@$(VENV)/bin/followthrough dataset shapes --motions 160 --frames 90 --seed 1 -o $(TRAINING_DATA)/wide

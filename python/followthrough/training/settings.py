@@ -194,7 +194,6 @@ class NewtonSettings(LearningSettings):
     frames_a_step: int = 6
     learning_rate: float = 5e-3
     warmup_steps: int = 100
-    optimizer: str = "muon"
     weight_decay: float = 1e-5
     average: float = 0.998
     iterations: tuple[int, ...] = NewtonSchedule.iterations
