@@ -36,13 +36,11 @@ ABLATIONS = {
 
 
 def trained(name: str, data: Path, folder: Path, steps: int) -> EmulatorWeights:
-    """The weights of an ablation, which are made where they are not there."""
-    weights = folder / f"{name}.npz"
-    if not weights.exists():
-        settings = folder / f"{name}.toml"
-        settings.write_text(f"{COMMON}steps = {steps}\n{ABLATIONS[name]}", encoding="utf-8")
-        command = [sys.executable, "-m", "followthrough", "train", data, "--config", settings, "-o", weights]
-        subprocess.run([str(word) for word in command], check=True)
+    """The weights of an ablation. `followthrough train` goes on from its checkpoint, and refuses one of other settings or data."""
+    weights, settings = folder / f"{name}.npz", folder / f"{name}.toml"
+    settings.write_text(f"{COMMON}steps = {steps}\n{ABLATIONS[name]}", encoding="utf-8")
+    command = [sys.executable, "-m", "followthrough", "train", data, "--config", settings, "-o", weights]
+    subprocess.run([str(word) for word in command], check=True)
     return EmulatorWeights.load(weights)
 
 

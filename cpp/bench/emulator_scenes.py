@@ -16,19 +16,18 @@ import fnmatch
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
+from emulator_scores import Maker, emulator, simulation
 
 from followthrough.benchmarking.hard_scenes import HALVES, SCENES, Scene, half
-from followthrough.elastic import ElasticBody, ImplicitEuler
-from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights
 from followthrough.evaluation import Scores, evaluate
 from followthrough.sequences import Sequence
-from followthrough.solver import Solver
+from followthrough.simulation import simulate
 
 #: The aims, in the paper's units, and how far energies may be off.
 MOST_SINGLE, MOST_ROLLOUT, MOST_ENERGY = 0.003, 0.03, 0.2
@@ -48,13 +47,8 @@ def truth_of(scene: Scene, folder: Path) -> Sequence:
             np.array_equal(getattr(kept, name), getattr(sequence, name)) for name in inputs
         ):
             return kept
-    solver = ImplicitEuler(_body(sequence), sequence.constrained, sequence.dt, quality="converged")
-    dynamic = np.empty_like(sequence.reference)
-    dynamic[0] = solver.reset(sequence.reference[0])
-    for frame in range(1, sequence.frame_count):
-        dynamic[frame] = solver.step(sequence.reference[frame])
     folder.mkdir(parents=True, exist_ok=True)
-    sequence = replace(sequence, dynamic=dynamic)
+    sequence = simulate(sequence, simulation("converged")(sequence))
     sequence.save(path)
     return sequence
 
@@ -104,20 +98,16 @@ def worst_rollout(scores: Scores) -> float:
     return max(scores.rollout_24, scores.rollout_48, scores.rollout_all)
 
 
-def methods(weights: EmulatorWeights) -> dict[str, Callable[[Sequence], Solver]]:
+def methods(weights: EmulatorWeights) -> dict[str, Maker]:
     """What is compared, by name."""
-
-    def simulation(quality: str) -> Callable[[Sequence], Solver]:
-        return lambda s: ImplicitEuler(_body(s), s.constrained, s.dt, quality=quality)
-
-    return {"emulator": lambda s: Emulator.of_sequence(s, weights), **{q: simulation(q) for q in _QUALITIES}}
+    return {"emulator": emulator(weights), **{quality: simulation(quality) for quality in _QUALITIES}}
 
 
-def measure(scene: Scene, folder: Path, compared: dict[str, Callable[[Sequence], Solver]]) -> dict[str, Scores]:
+def measure(scene: Scene, folder: Path, compared: dict[str, Maker]) -> dict[str, Scores]:
     """Scores of every method in a scene."""
-    sequence = truth_of(scene, folder)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # inverted rest tets are some scenes' own
+        sequence = truth_of(scene, folder)
         return {name: evaluate(sequence, make(sequence)) for name, make in compared.items()}
 
 
@@ -155,12 +145,6 @@ def summary(all_scores: Iterable[dict[str, Scores]]) -> str:
         time = np.mean([each.ms_per_frame for each in mine])
         lines.append(f"| {' | '.join([name, *met])} | {roots[0]:.2g}, {roots[1]:.2g} | {time:.3g} |")
     return "\n".join(lines)
-
-
-def _body(sequence: Sequence) -> ElasticBody:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return ElasticBody.of_sequence(sequence)
 
 
 def main() -> None:

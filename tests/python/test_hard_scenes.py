@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -18,15 +19,17 @@ from followthrough.sequences import Sequence
 
 
 @pytest.fixture(scope="module")
-def command() -> ModuleType:
+def command() -> Iterator[ModuleType]:
     path = Path(__file__).parents[2] / "cpp" / "bench" / "emulator_scenes.py"
     spec = importlib.util.spec_from_file_location("emulator_scenes", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["emulator_scenes"] = module
-    spec.loader.exec_module(module)
-    return module
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(path.parent)  # scripts there import each other
+        patch.setitem(sys.modules, "emulator_scenes", module)
+        spec.loader.exec_module(module)
+        yield module
 
 
 def test_every_scene_is_in_one_half() -> None:

@@ -237,7 +237,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   traces = floats(size(padded));
   const bool rounded = free_count >= rounded_from;
   if (rounded) {
-    coarse_blocks.assign(slot_columns.size() * kBlock, 0);
+    rounded_blocks.assign(slot_columns.size() * kBlock, 0);
   } else {
     blocks = floats(slot_columns.size() * kBlock);
   }
@@ -294,7 +294,7 @@ void NewtonProblem::arrange(const NewtonBody& body) {
                scales.data(),
                traces.data(),
                blocks.data(),
-               rounded ? coarse_blocks.data() : nullptr,
+               rounded ? rounded_blocks.data() : nullptr,
                diagonal.data(),
                inverse.data(),
                first.data(),

@@ -53,7 +53,7 @@ struct NewtonRows {
   float* scales;                       ///< out: (padded, 4) one over the roots
   float* traces;                       ///< out: (padded,) of the diagonal blocks as they were
   float* blocks;                       ///< out: (slots, 9, 16)
-  std::int16_t* coarse_blocks;         ///< or these, 1 being 32767
+  std::int16_t* rounded_blocks;        ///< or these, 1 being 32767
   float* diagonal;                     ///< out: (groups, 3, 16) xy xz yz
   float* inverse;                      ///< out: (groups, 6, 16) xx yy zz xy xz yz
   float* first;                        ///< out: (3, padded) the first preconditioned residual, in edges

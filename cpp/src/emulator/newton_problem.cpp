@@ -344,31 +344,27 @@ double NewtonProblem::slope_along_saved() const {
 }
 
 // As it is seen from a frame of reference that falls.
-Eigen::RowVector3d NewtonProblem::reference_of(std::int32_t row) const {
-  return target.row(vertices[size(row)]) * inverse_length - fall;
+Eigen::RowVector3d NewtonProblem::in_edges(ConstPositions there, std::int32_t row) const {
+  return there.row(vertices[size(row)]) * inverse_length - fall;
+}
+
+void NewtonProblem::put(std::int32_t row, const Eigen::RowVector3d& there) {
+  for (int k = 0; k < 3; ++k) {
+    const std::size_t place = 3 * size(row) + size(k);
+    positions[place] = there[k];
+    offsets.data()[4 * offset_row(row) + k] = static_cast<float>(positions[place] - inertial[place]);
+  }
 }
 
 void NewtonProblem::go_to(ConstPositions there) {
   std::fill_n(motion.data(), 3 * size(padded), 0.0f);
-  for (std::int32_t row = 0; row < free_count; ++row) {
-    for (int k = 0; k < 3; ++k) {
-      const std::size_t place = 3 * size(row) + size(k);
-      positions[place] = there(vertices[size(row)], k) * inverse_length - fall[k];
-      offsets.data()[4 * offset_row(row) + k] = static_cast<float>(positions[place] - inertial[place]);
-    }
-  }
+  for (std::int32_t row = 0; row < free_count; ++row) put(row, in_edges(there, row));
 }
 
 void NewtonProblem::go_to_reference(const std::vector<bool>& chosen) {
   std::fill_n(motion.data(), 3 * size(padded), 0.0f);
   for (std::int32_t row = 0; row < free_count; ++row) {
-    if (!chosen[islands[size(row)]]) continue;
-    const Eigen::RowVector3d there = reference_of(row);
-    for (int k = 0; k < 3; ++k) {
-      const std::size_t place = 3 * size(row) + size(k);
-      positions[place] = there[k];
-      offsets.data()[4 * offset_row(row) + k] = static_cast<float>(positions[place] - inertial[place]);
-    }
+    if (chosen[islands[size(row)]]) put(row, in_edges(target, row));
   }
 }
 
@@ -400,7 +396,7 @@ std::vector<double> NewtonProblem::island_energies() const {
 std::vector<double> NewtonProblem::island_inertia_at_reference() const {
   std::vector<double> sums_of(island_count, 0.0);
   for (std::int32_t row = 0; row < free_count; ++row) {
-    sums_of[islands[size(row)]] += lumped_inertia(row, reference_of(row));
+    sums_of[islands[size(row)]] += lumped_inertia(row, in_edges(target, row));
   }
   return sums_of;
 }

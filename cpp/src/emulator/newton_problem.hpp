@@ -104,7 +104,7 @@ struct NewtonProblem {
   std::int32_t parts;
   std::vector<std::int32_t> corners, places, part_tets, part_sums, halo_starts, halo_places, row_places, slot_starts, slot_columns,
       slot_places, border_starts, border_columns;
-  std::vector<std::int16_t> coarse_blocks;
+  std::vector<std::int16_t> rounded_blocks;
   AlignedFloats gradients, materials, energies, sums, slot_masses, slot_turned, border_masses, masses, offsets, scales, traces,
       roots, blocks, diagonal, inverse, residual, preconditioned, directions, product, solution, first, saved_solution;
   // What guides are told, and what they say. Each vector is (3,padded), each number (padded,).
@@ -139,7 +139,8 @@ struct NewtonProblem {
   FreeEdges free_edges(std::int32_t row) const;
   std::int32_t sum_place(std::int32_t row, std::int32_t other) const;
   std::int32_t offset_row(std::int32_t row) const;
-  Eigen::RowVector3d reference_of(std::int32_t row) const;
+  Eigen::RowVector3d in_edges(ConstPositions there, std::int32_t row) const;
+  void put(std::int32_t row, const Eigen::RowVector3d& there);
   std::int32_t last_group(std::int32_t part) const;
   double sum(int which) const;
   double assemble_as(Tangent tangent);

@@ -148,16 +148,16 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
 }
 
 void assemble_blocks(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group) noexcept {
-  if (rows.coarse_blocks) {
-    assemble_blocks(rows, rows.coarse_blocks, first_group, last_group);
+  if (rows.rounded_blocks) {
+    assemble_blocks(rows, rows.rounded_blocks, first_group, last_group);
   } else {
     assemble_blocks(rows, rows.blocks, first_group, last_group);
   }
 }
 
 void multiply_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_t last_group, LaneSums* sums) noexcept {
-  if (rows.coarse_blocks) {
-    multiply_rows(rows, rows.coarse_blocks, first_group, last_group, sums);
+  if (rows.rounded_blocks) {
+    multiply_rows(rows, rows.rounded_blocks, first_group, last_group, sums);
   } else {
     multiply_rows(rows, rows.blocks, first_group, last_group, sums);
   }
