@@ -81,8 +81,9 @@ struct PackedGuide {
 };
 
 std::vector<std::array<Index, 4>> corners_of(const Tets& tets) {
-  std::vector<std::array<Index, 4>> corners;
-  for (Eigen::Index t = 0; t < tets.rows(); ++t) corners.push_back({tets(t, 0), tets(t, 1), tets(t, 2), tets(t, 3)});
+  std::vector<std::array<Index, 4>> corners(static_cast<std::size_t>(tets.rows()));
+  for (Eigen::Index t = 0; t < tets.rows(); ++t)
+    corners[static_cast<std::size_t>(t)] = {tets(t, 0), tets(t, 1), tets(t, 2), tets(t, 3)};
   return corners;
 }
 
