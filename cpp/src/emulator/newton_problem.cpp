@@ -18,7 +18,7 @@ namespace {
 
 // Share of the first preconditioned residual that conjugate gradients leave. That of the coarse system counts what reaches far as
 // well.
-constexpr double solver_tolerance = 0.003, coarse_tolerance = 0.01;
+constexpr double solver_tolerance = 0.01, coarse_tolerance = 0.01;
 // Frames that one thread does after threads have been in each other's way: twice as many each time, until they are not.
 constexpr int fewest_frames_alone = 64, most_frames_alone = 512;
 

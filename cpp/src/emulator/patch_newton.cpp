@@ -136,6 +136,7 @@ struct PatchNewton::Parts {
   std::array<Positions, 4> dynamic;    // u(t), u(t-1), u(t-2), u(t-3)
   std::array<Positions, 3> reference;  // x(t), x(t-1), x(t-2)
   Positions next;                      // u(t+1)
+  bool ended = false;                  // the frame's last step needs no look
   bool again = false;                  // the frame has begun again as the simulation does
   std::int64_t frames = -1;            // since the reset; -1: never reset
 };
@@ -198,6 +199,11 @@ void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::si
     problem.solve(guard.iterations(pass.iterations));
     guard.has_solved(pass.iterations);
     reach = problem.direction_length() / left;
+    if (guard.ends_frame(reach, enough)) {
+      problem.move_along_direction();
+      ended = true;
+      return;
+    }
     const bool guided = !again && !pass.guide.layers.empty() && guard.guided();
     guard.before_step(guided, k + 1 == count);
     if (guided) {
@@ -252,6 +258,7 @@ void PatchNewton::Parts::take_all_passes(ConstPositions next_reference, double e
     guard.begin_again();
     take_passes(most_passes_again, passes.data(), passes.size(), enough);
   }
+  if (extra_passes > 0) ended = false;
   take_passes(extra_passes, &extra, 1, nothing_left);
   guard.end();
 }
@@ -259,7 +266,7 @@ void PatchNewton::Parts::take_all_passes(ConstPositions next_reference, double e
 void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
   problem.begin({{dynamic[0], dynamic[1], dynamic[2], dynamic[3]}, {next_reference, reference[0], reference[1], reference[2]}});
   guard.begin();
-  again = false;
+  again = ended = false;
   take_guided_step(start, false);
   double square = 0;
   for (int k = 0; k < 3; ++k) {
@@ -269,7 +276,7 @@ void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
   const double liveliness = std::min(1.0, std::sqrt(square / (3.0 * std::max(problem.free_count, 1))) / lively_step);
   const double enough = std::max(tolerance * liveliness, nothing_left);
   take_all_passes(next_reference, enough);
-  if (most_passes + extra_passes > 0 && guard.go_to_better_reference()) take_all_passes(next_reference, enough);
+  if (!ended && most_passes + extra_passes > 0 && guard.go_to_better_reference()) take_all_passes(next_reference, enough);
   if (!problem.finite()) problem.start_over();
   problem.write_estimate(next);
 }

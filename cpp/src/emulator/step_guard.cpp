@@ -26,6 +26,8 @@ constexpr double still_falling = 0.1, least_lengthening = 1.2, greatest_lengthen
 
 // Share of the residual that a step leaves where passes are slow; the most that is believed, as a step may also raise it.
 constexpr double slow_rate = 0.5, greatest_rate = 0.9;
+// The least that a step is trusted to leave before it has been looked at.
+constexpr double least_rate = 0.1;
 
 }  // namespace
 
@@ -68,6 +70,13 @@ double StepGuard::expected_error(double reach) const {
   return rate_ > 0.0 ? left_ * std::max(reach, 1.0) / (1.0 - std::min(rate_, greatest_rate)) : left_;
 }
 
+bool StepGuard::ends_frame(double reach, double enough) const {
+  if (slow_ || eager_ || !directions_exact_ || steps_ == 0 || !(rate_ <= slow_rate)) return false;
+  if (!(std::max(rate_, least_rate) * expected_error(reach) < enough)) return false;
+  const std::vector<bool> goes = better_off_at_reference();
+  return std::find(goes.begin(), goes.end(), true) == goes.end();
+}
+
 double StepGuard::evaluate(Tangent tangent) {
   tangent_ = tangent;
   if (!taken_) return left_ = problem_.assemble(tangent_);
@@ -97,11 +106,18 @@ double StepGuard::evaluate_step() {
   return left_;
 }
 
-bool StepGuard::go_to_better_reference() {
-  const double energy = problem_.energy;
+// Islands whose energy at the reference would be less for inertia alone.
+std::vector<bool> StepGuard::better_off_at_reference() const {
   const std::vector<double> before = problem_.island_energies(), inertia = problem_.island_inertia_at_reference();
   std::vector<bool> goes(before.size());
   for (std::size_t k = 0; k < goes.size(); ++k) goes[k] = inertia[k] < before[k];
+  return goes;
+}
+
+bool StepGuard::go_to_better_reference() {
+  const double energy = problem_.energy;
+  const std::vector<double> before = problem_.island_energies();
+  std::vector<bool> goes = better_off_at_reference();
   const auto none_goes = [&] { return std::find(goes.begin(), goes.end(), true) == goes.end(); };
   const auto go = [&] {
     problem_.go_to_reference(goes);

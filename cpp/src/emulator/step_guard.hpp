@@ -5,6 +5,7 @@
 #pragma once
 
 #include <optional>
+#include <vector>
 
 #include "emulator/newton_problem.hpp"
 
@@ -52,6 +53,11 @@ class StepGuard {
   /// @brief What the estimate is off by, in edges, if passes go on as the last one did: the sum of what they would do.
   /// @param reach of the last pass's direction, over the residual that it was found for
   double expected_error(double reach) const;
+  /// @brief Whether the direction that has been found ends the frame so surely that nobody needs to look: it leaves no larger share
+  /// of what is left than the step before it did, and that is little enough, and no island is to be asked whether it had better go
+  /// to the reference.
+  /// @param enough of an error, edges
+  bool ends_frame(double reach, double enough) const;
   /// The estimate, evaluated and solved, is about to be moved: by a guide's step or along the direction.
   /// @param last of the frame's passes: nothing smooths the ripples that it leaves
   void before_step(bool guided, bool last);
@@ -81,6 +87,7 @@ class StepGuard {
   static constexpr double near_end = 0.02;
 
   double evaluate_step();
+  std::vector<bool> better_off_at_reference() const;
   double retake(double share);
   double lengthen(double left);
 
