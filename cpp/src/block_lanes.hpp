@@ -23,6 +23,52 @@ inline void add_block(float* to, const float* from) {
   to[8] += from[8];
 }
 
+/// Adds a group's blocks: nine[k][lane] is number k of the one that goes to to + places[lane]. In whatever order the lanes
+/// come, it is the same with every instruction set.
+inline void add_group_of_blocks(const float (*nine)[kGroup], float* to, const std::int32_t* places) {
+#if defined(__AVX512F__)
+  __m512d fours[8];  // fours[4 q + c] has lane c + 4 p of the numbers 4 q to 4 q + 3 in its quarter p
+  for (int k = 0; k < 8; k += 4) {
+    const __m512 a = load(nine[k]), b = load(nine[k + 1]), c = load(nine[k + 2]), d = load(nine[k + 3]);
+    const __m512d ab[2] = {_mm512_castps_pd(_mm512_unpacklo_ps(a, b)), _mm512_castps_pd(_mm512_unpackhi_ps(a, b))};
+    const __m512d cd[2] = {_mm512_castps_pd(_mm512_unpacklo_ps(c, d)), _mm512_castps_pd(_mm512_unpackhi_ps(c, d))};
+    for (int h = 0; h < 2; ++h) {
+      fours[k + 2 * h] = _mm512_unpacklo_pd(ab[h], cd[h]);
+      fours[k + 2 * h + 1] = _mm512_unpackhi_pd(ab[h], cd[h]);
+    }
+  }
+  const __m512i low = _mm512_setr_epi64(0, 1, 8, 9, 2, 3, 10, 11), high = _mm512_setr_epi64(4, 5, 12, 13, 6, 7, 14, 15);
+  for (int c = 0; c < 4; ++c) {
+    const __m512 two[2] = {_mm512_castpd_ps(_mm512_permutex2var_pd(fours[c], low, fours[4 + c])),
+                           _mm512_castpd_ps(_mm512_permutex2var_pd(fours[c], high, fours[4 + c]))};
+    for (int p = 0; p < 4; ++p) {
+      const int lane = c + 4 * p;
+      const __m256 eight = p % 2 ? _mm512_extractf32x8_ps(two[p / 2], 1) : _mm512_castps512_ps256(two[p / 2]);
+      float* const there = to + places[lane];
+      _mm256_storeu_ps(there, _mm256_add_ps(_mm256_loadu_ps(there), eight));
+      there[8] += nine[8][lane];
+    }
+  }
+#else
+  float eight[kGroup][8];
+  for (int lane = 0; lane < kGroup; lane += kLanes) {
+    for (int k = 0; k < 8; k += kLanes) {
+      Lanes tile[kLanes];
+      for (int row = 0; row < kLanes; ++row) tile[row] = load(nine[k + row] + lane);
+      transpose_tile(tile);
+      for (int row = 0; row < kLanes; ++row) store(eight[lane + row] + k, tile[row]);
+    }
+  }
+  for (int c = 0; c < 4; ++c) {
+    for (int lane = c; lane < kGroup; lane += 4) {
+      float* const there = to + places[lane];
+      for (int k = 0; k < 8; k += kLanes) store(there + k, add(load(there + k), load(eight[lane] + k)));
+      there[8] += nine[8][lane];
+    }
+  }
+#endif
+}
+
 /// Components of the vectors that start at from + starts[lane].
 inline void load_vectors(const float* from, const int* starts, Lanes (&components)[3]) {
 #if defined(__AVX512F__)
@@ -106,6 +152,29 @@ inline void store_vectors(float* to, const Lanes (&components)[3]) {
   } else {
     for (int c = 0; c < 3; ++c) store(to + c, components[c]);
   }
+#endif
+}
+
+/// Of vectors of three doubles, those of `ends` less those of `origins`, rounded. A fourth double after each is read, where it is
+/// quicker, and means nothing.
+inline Triple difference_of_triples(const double* vectors, const int* origins, const int* ends) {
+#if defined(__AVX512F__) || defined(__AVX2__)
+  const auto edge = [&](int lane) {
+    const double *origin = vectors + 3 * std::int64_t{origins[lane]}, *end = vectors + 3 * std::int64_t{ends[lane]};
+    return _mm256_cvtpd_ps(_mm256_sub_pd(_mm256_loadu_pd(end), _mm256_loadu_pd(origin)));
+  };
+  float vectors_of_four[4 * kLanes];
+  for (int lane = 0; lane < kLanes; ++lane) _mm_storeu_ps(vectors_of_four + 4 * lane, edge(lane));
+  Lanes components[3];
+  load_vectors(vectors_of_four, components);
+  return {{components[0]}, {components[1]}, {components[2]}};
+#else
+  float components[3][kLanes];
+  for (int lane = 0; lane < kLanes; ++lane) {
+    const double *origin = vectors + 3 * std::int64_t{origins[lane]}, *end = vectors + 3 * std::int64_t{ends[lane]};
+    for (int k = 0; k < 3; ++k) components[k][lane] = static_cast<float>(end[k] - origin[k]);
+  }
+  return {load_real(components[0]), load_real(components[1]), load_real(components[2])};
 #endif
 }
 

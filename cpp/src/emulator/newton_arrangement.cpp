@@ -263,7 +263,8 @@ void NewtonProblem::arrange(const NewtonBody& body) {
   }
   find_nearness(body);
   find_islands();
-  for (std::vector<double>* array : {&positions, &start, &inertial, &last}) array->assign(3 * size(row_count), 0.0);
+  // And one to spare, which kernels read.
+  for (std::vector<double>* array : {&positions, &start, &inertial, &last}) array->assign(3 * size(row_count) + 1, 0.0);
   saved.assign(3 * size(free_count), 0.0);
   lane_sums.resize(size(parts));
   part_numbers.resize(size(parts));
@@ -399,9 +400,16 @@ void NewtonProblem::arrange_parts(const std::vector<RowTet>& tets) {
       const bool real = tet + slot < end;
       const RowTet& it = slots.emplace_back(real ? tet[slot] : *(end - 1));
       if (!real) slots.back().volume = 0.0;
-      for (const std::int32_t row : it.rows) places.push_back(real ? place_of(row, row) : nowhere);
+      if (slot % kNewtonGroup == 0) places.resize(places.size() + kTetBlocks * kNewtonGroup, nowhere);
+      if (!real) continue;
+      std::int32_t* place = &places[places.size() - size(kTetBlocks * kNewtonGroup - slot % kNewtonGroup)];
+      const auto put_next = [&place](std::int32_t where) {
+        *place = where;
+        place += kNewtonGroup;
+      };
+      for (const std::int32_t row : it.rows) put_next(place_of(row, row));
       for (std::size_t a = 0; a < 4; ++a) {
-        for (std::size_t b = a + 1; b < 4; ++b) places.push_back(real ? place_of(it.rows[a], it.rows[b]) : nowhere);
+        for (std::size_t b = a + 1; b < 4; ++b) put_next(place_of(it.rows[a], it.rows[b]));
       }
     }
     tet = end;

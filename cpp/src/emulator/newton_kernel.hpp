@@ -26,7 +26,7 @@ struct NewtonTets {
   const float* gradients;       ///< (groups, 9, 16) inverse of the rest edges: F = edges gradients
   const float* materials;       ///< (groups, 4, 16) volume, mu, lambda, compression resistance
   const double* positions;      ///< (rows, 3)
-  const std::int32_t* places;   ///< (groups, 16, 10) in the sums; where nobody asks for a block, a place that nobody reads
+  const std::int32_t* places;   ///< (groups, 10, 16) in the sums; where nobody asks for a block, a place that nobody reads
   float* sums;                  ///< what is added to, and seven floats to spare
   float* energies;              ///< out: (groups, 16)
   bool exact;                   ///< the tangent, which may be indefinite, not a convex one

@@ -15,11 +15,12 @@ static_assert(kGroup == kNewtonGroup);
 
 // Edges from the first corner, component k of edge e at [3 k + e]: taken in double precision, so that they are as exact far away.
 inline void load_edges(const double* positions, const std::int32_t* corners, float (*edges)[kGroup]) {
-  for (int lane = 0; lane < kGroup; ++lane) {
-    const double* origin = positions + 3 * static_cast<std::int64_t>(corners[lane]);
+  for (int lane = 0; lane < kGroup; lane += kLanes) {
     for (int e = 0; e < 3; ++e) {
-      const double* end = positions + 3 * static_cast<std::int64_t>(corners[(e + 1) * kGroup + lane]);
-      for (int k = 0; k < 3; ++k) edges[3 * k + e][lane] = static_cast<float>(end[k] - origin[k]);
+      const Triple edge = difference_of_triples(positions, corners + lane, corners + (e + 1) * kGroup + lane);
+      store(&edges[e][lane], edge.x);
+      store(&edges[3 + e][lane], edge.y);
+      store(&edges[6 + e][lane], edge.z);
     }
   }
 }
@@ -55,10 +56,19 @@ inline bool deformation_gradients(const NewtonTets& tets, std::int64_t group, fl
   return any;
 }
 
-inline void corner_block(float (*out)[kGroup], int lane, Real xx, Real yy, Real zz, Real xy, Real xz, Real yz, Triple force) {
-  const Real values[] = {xx, yy, zz, xy, xz, yz, force.x, force.y, force.z};
-  for (int k = 0; k < 9; ++k) store(&out[k][lane], values[k]);
+inline void store_corner(float (*out)[kGroup], int lane, const Symmetric& stiffness, Triple force) {
+  const Real values[] = {stiffness.xx, stiffness.yy, stiffness.zz, stiffness.xy, stiffness.xz, stiffness.yz,
+                         force.x,      force.y,      force.z};
+  for (int k = 0; k < kBlock; ++k) store(&out[k][lane], values[k]);
 }
+
+inline Square whole(const Symmetric& m) { return {{m.xx, m.xy, m.xz}, {m.xy, m.yy, m.yz}, {m.xz, m.yz, m.zz}}; }
+inline Square operator+(const Square& a, const Square& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+inline Triple negative(Triple a) {
+  const Real zero = real(0.0f);
+  return {zero - a.x, zero - a.y, zero - a.z};
+}
+inline Square negative(const Square& a) { return {negative(a.x), negative(a.y), negative(a.z)}; }
 
 // below: what the clamp took off, or null.
 inline void shares_of(const NewtonTets& tets, std::int64_t group, const float (*gradient)[kGroup], const float (*below)[kGroup],
@@ -85,76 +95,81 @@ inline void shares_of(const NewtonTets& tets, std::int64_t group, const float (*
     const Real shear = volume * mu, spread = volume * lambda;
     Real strained = fma_of(czz, s.z.z, fma_of(cyy, s.y.y, cxx * s.x.x)) + dot({cxy, cxz, cyz}, {s.x.y, s.x.z, s.y.z}) * real(2.0f);
     strained = strained * real(0.25f) + resistance * gap * gap * gap * real(1.0f / 1728.0f);
+    // What F, A and S make of the gradients of the corners but the first, which has what brings all sums over corners to nothing.
+    const Square stress = f * s;
+    const Square pull = {fma_of(a.x, pressure, stress.x) * volume, fma_of(a.y, pressure, stress.y) * volume,
+                         fma_of(a.z, pressure, stress.z) * volume};
     if (below) {
-      const Square stress = f * s, lost = load_square(&below[0][lane], kGroup);
-      strained = strained + dot(fma_of(a.x, pressure, stress.x), lost.x) + dot(fma_of(a.y, pressure, stress.y), lost.y) +
-                 dot(fma_of(a.z, pressure, stress.z), lost.z);
+      const Square lost = load_square(&below[0][lane], kGroup);
+      store(tets.energies + group * kGroup + lane,
+            fma_of(strained, volume, dot(pull.x, lost.x) + dot(pull.y, lost.y) + dot(pull.z, lost.z)));
+    } else {
+      store(tets.energies + group * kGroup + lane, strained * volume);
     }
-    store(tets.energies + group * kGroup + lane, strained * volume);
-    // Gradients of the corners, and what F, A and S make of them.
-    const Triple corner[4] = {
-        {zero - (g.x.x + g.y.x + g.z.x), zero - (g.x.y + g.y.y + g.z.y), zero - (g.x.z + g.y.z + g.z.z)}, g.x, g.y, g.z};
+    const Triple corner[] = {g.x, g.y, g.z};
     const Real fxx = dot(f.x, f.x), fyy = dot(f.y, f.y), fzz = dot(f.z, f.z);
     const Real fxy = dot(f.x, f.y), fxz = dot(f.x, f.z), fyz = dot(f.y, f.z);
-    Triple moved[4], normal[4], pulled[4];
-    for (int c = 0; c < 4; ++c) {
+    Triple moved[3], normal[3], pulled[3], force[3];
+    Symmetric own[3];
+    for (int c = 0; c < 3; ++c) {
       moved[c] = f * corner[c];
       normal[c] = a * corner[c];
       pulled[c] = s * corner[c];
-      const Real same = shear * dot(corner[c], corner[c]), along = fma_of(near, dot(corner[c], pulled[c]), zero);
+      force[c] = pull * corner[c];
+      const Real same = shear * dot(corner[c], corner[c]), along = near * dot(corner[c], pulled[c]);
       const Triple m = moved[c] * (shear + spread), n = normal[c] * bulk;
-      const Triple force = (f * pulled[c] + normal[c] * pressure) * volume;
       const auto entry = [&](Real ff, Real left, Real right, Real up, Real down) {
         return fma_of(up, down, fma_of(left, right, same * ff));
       };
-      corner_block(out + 9 * c, lane, entry(fxx, m.x, moved[c].x, n.x, normal[c].x) + along,
-                   entry(fyy, m.y, moved[c].y, n.y, normal[c].y) + along, entry(fzz, m.z, moved[c].z, n.z, normal[c].z) + along,
-                   entry(fxy, m.x, moved[c].y, n.x, normal[c].y), entry(fxz, m.x, moved[c].z, n.x, normal[c].z),
-                   entry(fyz, m.y, moved[c].z, n.y, normal[c].z), force);
+      own[c] = {entry(fxx, m.x, moved[c].x, n.x, normal[c].x) + along, entry(fyy, m.y, moved[c].y, n.y, normal[c].y) + along,
+                entry(fzz, m.z, moved[c].z, n.z, normal[c].z) + along, entry(fxy, m.x, moved[c].y, n.x, normal[c].y),
+                entry(fxz, m.x, moved[c].z, n.x, normal[c].z),         entry(fyz, m.y, moved[c].z, n.y, normal[c].z)};
+      store_corner(out + kBlock * (1 + c), lane, own[c], force[c]);
     }
-    int block = 4;
-    for (int b = 0; b < 4; ++b) {
-      for (int c = b + 1; c < 4; ++c, ++block) {
-        const Real same = shear * dot(corner[b], corner[c]), along = near * dot(corner[b], pulled[c]);
-        const Triple by_c = moved[c] * shear, by_b = moved[b] * spread, n = normal[b] * bulk;
-        const auto row = [&](Triple ff, Real c_side, Real b_side, Real up) {
-          return fma_of(normal[c], up, fma_of(moved[c], b_side, fma_of(moved[b], c_side, ff * same)));
-        };
-        Square k{row({fxx, fxy, fxz}, by_c.x, by_b.x, n.x), row({fxy, fyy, fyz}, by_c.y, by_b.y, n.y),
-                 row({fxz, fyz, fzz}, by_c.z, by_b.z, n.z)};
-        k.x.x = k.x.x + along;
-        k.y.y = k.y.y + along;
-        k.z.z = k.z.z + along;
-        if (tets.exact) {
-          const Triple axis = f * cross(corner[b], corner[c]) * squeeze;
-          k.x.y = k.x.y + axis.z;
-          k.x.z = k.x.z - axis.y;
-          k.y.x = k.y.x - axis.z;
-          k.y.z = k.y.z + axis.x;
-          k.z.x = k.z.x + axis.y;
-          k.z.y = k.z.y - axis.x;
-        }
-        store(&out[9 * block][lane], kGroup, k);
+    const auto between = [&](int b, int c) {
+      const Real same = shear * dot(corner[b], corner[c]), along = near * dot(corner[b], pulled[c]);
+      const Triple by_c = moved[c] * shear, by_b = moved[b] * spread, n = normal[b] * bulk;
+      const auto row = [&](Triple ff, Real c_side, Real b_side, Real up) {
+        return fma_of(normal[c], up, fma_of(moved[c], b_side, fma_of(moved[b], c_side, ff * same)));
+      };
+      Square k{row({fxx, fxy, fxz}, by_c.x, by_b.x, n.x), row({fxy, fyy, fyz}, by_c.y, by_b.y, n.y),
+               row({fxz, fyz, fzz}, by_c.z, by_b.z, n.z)};
+      k.x.x = k.x.x + along;
+      k.y.y = k.y.y + along;
+      k.z.z = k.z.z + along;
+      if (tets.exact) {
+        const Triple axis = f * cross(corner[b], corner[c]) * squeeze;
+        k.x.y = k.x.y + axis.z;
+        k.x.z = k.x.z - axis.y;
+        k.y.x = k.y.x - axis.z;
+        k.y.z = k.y.z + axis.x;
+        k.z.x = k.z.x + axis.y;
+        k.z.y = k.z.y - axis.x;
       }
-    }
+      return k;
+    };
+    const auto store_between = [&](int block, const Square& k) { store(&out[kBlock * block][lane], kGroup, k); };
+    const Square second = between(0, 1), third = between(0, 2), last = between(1, 2);
+    store_between(7, second);
+    store_between(8, third);
+    store_between(9, last);
+    const Square first[] = {negative(whole(own[0]) + transposed(second) + transposed(third)),
+                            negative(second + whole(own[1]) + transposed(last)), negative(third + last + whole(own[2]))};
+    for (int c = 0; c < 3; ++c) store_between(4 + c, first[c]);
+    const Square rest = negative(first[0] + first[1] + first[2]);
+    store_corner(out, lane, {rest.x.x, rest.y.y, rest.z.z, rest.x.y, rest.x.z, rest.y.z}, negative(force[0] + force[1] + force[2]));
   }
 }
 
 }  // namespace
 
 void add_tets(const NewtonTets& tets, std::int32_t first_group, std::int32_t last_group) noexcept {
-  constexpr int shares = (kTetBlocks * kBlock + kGroup - 1) / kGroup * kGroup;
-  float lanes[shares][kGroup] = {}, gradient[9][kGroup], below[9][kGroup], rows[kGroup][shares];
+  float blocks[kTetBlocks][kBlock][kGroup], gradient[9][kGroup], below[9][kGroup];
   for (std::int64_t group = first_group; group < last_group; ++group) {
     const bool any_below = deformation_gradients(tets, group, gradient, below);
-    shares_of(tets, group, gradient, any_below ? below : nullptr, lanes);
-    for (int c = 0; c < shares; c += kGroup) transpose_group(lanes[c], kGroup, &rows[0][c], shares);
-    const std::int32_t* place = tets.places + group * kGroup * kTetBlocks;
-    for (int lane = 0; lane < kGroup; ++lane) {
-      for (int block = 0; block < kTetBlocks; ++block, ++place) {
-        add_block(tets.sums + *place, &rows[lane][kBlock * block]);
-      }
-    }
+    shares_of(tets, group, gradient, any_below ? below : nullptr, blocks[0]);
+    const std::int32_t* places = tets.places + group * kGroup * kTetBlocks;
+    for (int block = 0; block < kTetBlocks; ++block) add_group_of_blocks(blocks[block], tets.sums, places + block * kGroup);
   }
 }
 

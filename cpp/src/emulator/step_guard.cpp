@@ -71,7 +71,7 @@ double StepGuard::expected_error(double reach) const {
 }
 
 bool StepGuard::ends_frame(double reach, double enough) const {
-  if (slow_ || eager_ || !directions_exact_ || steps_ == 0 || !(rate_ <= slow_rate)) return false;
+  if (eager_ || !directions_exact_ || steps_ == 0 || !(rate_ <= slow_rate)) return false;
   if (!(std::max(rate_, least_rate) * expected_error(reach) < enough)) return false;
   const std::vector<bool> goes = better_off_at_reference();
   return std::find(goes.begin(), goes.end(), true) == goes.end();

@@ -42,7 +42,7 @@ class StepGuard {
   /// A direction has been found.
   void has_solved(int of_pass) { directions_exact_ = directions_exact_ && (problem_.coarse || problem_.iterations < of_pass); }
   /// Whether a guide may make the step of the direction that has been found. Where all of the frame's directions are exact, guides
-  /// make the first three steps, unless one after the first has left more than half of the residual: from there the direction
+  /// make the first two steps, unless one after the first has left more than half of the residual: from there the direction
   /// itself leads home faster. Elsewhere they know better than it how far to go.
   bool guided() const { return !directions_exact_ || (guided_ && steps_ < most_guided); }
   /// Of the step that has been taken: the exact one where guides have done what they can and little was left before it already.
@@ -83,7 +83,7 @@ class StepGuard {
     double shorter_share(double energy_there) const;
   };
 
-  static constexpr int most_guided = 3;
+  static constexpr int most_guided = 2;
   static constexpr double near_end = 0.02;
 
   double evaluate_step();

@@ -270,7 +270,7 @@ class PlainNewton {
       exact_passes += exact_;
       directions_exact_ = directions_exact_ && taken_ < pass.iterations;
       reach = g_.norm() / std::sqrt(3.0 * static_cast<double>(free_.size())) / before;
-      const bool of_guide = !pass.guide.empty() && (!directions_exact_ || (guides_ && steps_ < 3)),
+      const bool of_guide = !pass.guide.empty() && (!directions_exact_ || (guides_ && steps_ < 2)),
                  last_one = k + 1 == schedule_.most_passes;
       last = of_guide
                  ? guided(pass.guide, {g_, p_, l_, last, means(g_), means(l_)},
@@ -278,7 +278,7 @@ class PlainNewton {
                             return {0.5 * std::log(diagonal(v).trace() / 3 / lumped_[v]), log_modulus(v), nearness(v), fullness(v)};
                           })
                  : g_;
-      exact_ = directions_exact_ && steps_ >= 2 && expected < 0.02 && !last_one;
+      exact_ = directions_exact_ && steps_ >= 1 && expected < 0.02 && !last_one;
       const double share = keep(last, of_guide, last_one);
       rate_ = share == 0 ? 0.0 : left_ / before;
       slow_ = slow_ || rate_ > 0.5;
@@ -350,7 +350,7 @@ class PlainNewton {
     const Vector first = s;
     double square = r.dot(s);
     bool definite = true;
-    const double enough = 0.003 * 0.003 * square;
+    const double enough = 0.01 * 0.01 * square;
     for (taken_ = 0; taken_ < iterations && square > enough; ++taken_) {
       const Vector q = matrix * p;
       definite = p.dot(q) > 0;
