@@ -52,8 +52,9 @@ def weights() -> EmulatorWeights:
 
 @pytest.mark.parametrize("gain", [0.3, 3.0])
 def test_guides_on_what_training_sees_are_the_emulator(sequence: Sequence, gain: float) -> None:
-    parameters = random_newton_parameters(0, SCHEDULE, gain=gain)
-    weights = EmulatorWeights(parameters, newton=SCHEDULE)
+    schedule = replace(SCHEDULE, most_passes=2, tolerance=0.0)  # guides make both steps, and no frame ends early
+    parameters = random_newton_parameters(0, schedule, gain=gain)
+    weights = EmulatorWeights(parameters, newton=schedule)
     expected = simulate(sequence, Emulator.of_sequence(sequence, weights)).dynamic
     assert expected is not None
     patches = NewtonPatches.of_sequence(sequence)
@@ -64,10 +65,10 @@ def test_guides_on_what_training_sees_are_the_emulator(sequence: Sequence, gain:
     def take_passes() -> None:
         nonlocal taken_back
         moved = None
-        for k, (guide, iterations) in enumerate((("passes.0", 4), ("passes.1", 8), ("passes.1", 8))):
+        for k, (guide, iterations) in enumerate((("passes.0", 4), ("passes.1", 8))):
             patches.evaluate(iterations)
             taken_back += moved is not None and not np.array_equal(moved, patches.estimate())
-            patches.move(guided_step(parameters, guide, *patches.features()), last=k == 2)
+            patches.move(guided_step(parameters, guide, *patches.features()), last=k == 1)
             moved = patches.estimate()
 
     for frame in range(1, FRAMES):

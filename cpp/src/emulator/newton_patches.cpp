@@ -77,7 +77,7 @@ double NewtonPatches::evaluate(int iterations) {
   if (!parts_->problem.began) throw InvalidInput("estimate", "found none, expected begin before evaluate");
   if (iterations < 0) throw InvalidInput("iterations", "found " + std::to_string(iterations) + ", expected 0 or more");
   const double left = parts_->guard.evaluate();
-  parts_->problem.solve(parts_->guard.iterations(iterations));
+  parts_->problem.solve(parts_->guard.iterations(iterations), parts_->guard.tolerance());
   return left;
 }
 

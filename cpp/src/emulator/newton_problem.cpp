@@ -16,11 +16,10 @@
 namespace followthrough {
 namespace {
 
-// Share of the first preconditioned residual that conjugate gradients leave. That of the coarse system counts what reaches far as
-// well.
-constexpr double solver_tolerance = 0.01, coarse_tolerance = 0.01;
 // Frames that one thread does after threads have been in each other's way: twice as many each time, until they are not.
 constexpr int fewest_frames_alone = 64, most_frames_alone = 512;
+// Of the work of a pass that is worth a thread, nanoseconds.
+constexpr double least_share = 30'000;
 
 struct Kernels {
   decltype(&baseline::add_tets) add_tets;
@@ -57,7 +56,7 @@ double NewtonProblem::sum(int which) const {
 
 // As many as are worthwhile, but one where more are in each other's way. Results are the same.
 int NewtonProblem::threads(double nanoseconds_a_row) const {
-  return frames_alone > 0 || barrier.crowded() ? 1 : worthwhile_threads(padded, nanoseconds_a_row);
+  return frames_alone > 0 || barrier.crowded() ? 1 : worthwhile_threads(padded, nanoseconds_a_row, least_share);
 }
 
 void NewtonProblem::begin(const NewtonHistory& h) {
@@ -170,16 +169,15 @@ double NewtonProblem::correct(std::int32_t first_part, std::int32_t last_part) {
 
 // Every thread adds up the same sums and so goes the same way. The two that an iteration needs have places of their own, as one
 // thread may still be reading the first when another comes to the second, and so has what is summed up after the last one.
-void NewtonProblem::solve(int most) {
-  if (solve_as_assembled(most) || !tet_frame.exact) return;
+void NewtonProblem::solve(int most, double tolerance) {
+  if (solve_as_assembled(most, tolerance) || !tet_frame.exact) return;
   assemble_as(Tangent::convex);
-  solve_as_assembled(most);
+  solve_as_assembled(most, tolerance);
 }
 
 // False where the tangent turned out not to be positive definite: the solution is then the last one before that showed.
-bool NewtonProblem::solve_as_assembled(int most) {
+bool NewtonProblem::solve_as_assembled(int most, double tolerance) {
   const Kernels kernel = kernels();
-  const double tolerance = coarse ? coarse_tolerance : solver_tolerance;
   bool definite = true;
 #pragma omp parallel num_threads(threads(10.0 * most))
   {

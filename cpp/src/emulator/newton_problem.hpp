@@ -49,9 +49,9 @@ struct NewtonProblem {
   /// it is not positive definite.
   /// @return root mean square of the first preconditioned residual
   double assemble(Tangent tangent);
-  /// Finds the direction by so many iterations at most; `slope` is that of the energy along it. It is the convex tangent's where
+  /// Finds the direction by so many iterations at most, or fewer that leave so much of the preconditioned residual; `slope` is that of the energy along it. It is the convex tangent's where
   /// the exact one turns out not to be positive definite.
-  void solve(int most);
+  void solve(int most, double tolerance = 0.01);
   /// Root mean square of the direction that has just been found, in edges.
   double direction_length() const;
   /// What the guide of the start, or of a pass that has been solved, is told: brought up to date by `record` of every row, where it
@@ -145,7 +145,7 @@ struct NewtonProblem {
   double sum(int which) const;
   double assemble_as(Tangent tangent);
   bool indefinite() const;
-  bool solve_as_assembled(int most);
+  bool solve_as_assembled(int most, double tolerance);
   void make_coarse(std::int32_t first_part, std::int32_t last_part);
   double correct(std::int32_t first_part, std::int32_t last_part);
   void find_nearness(const NewtonBody& body);

@@ -196,7 +196,7 @@ void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::si
       return;
     }
     const PackedPass& pass = first[std::min(static_cast<std::size_t>(k), different - 1)];
-    problem.solve(guard.iterations(pass.iterations));
+    problem.solve(guard.iterations(pass.iterations), guard.tolerance());
     guard.has_solved(pass.iterations);
     reach = problem.direction_length() / left;
     if (guard.ends_frame(reach, enough)) {

@@ -4,6 +4,7 @@
 #include <doctest/doctest.h>
 #include <omp.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <limits>
@@ -13,6 +14,7 @@
 #include "emulator/newton_problem.hpp"
 #include "emulator/plain_newton.hpp"
 #include "emulator/random_network.hpp"
+#include "emulator/step_guard.hpp"
 #include "followthrough/elastic/implicit_euler.hpp"
 #include "followthrough/errors.hpp"
 #include "instruction_set.hpp"
@@ -416,6 +418,47 @@ TEST_CASE("passes end where little is left, calm frames being solved as exactly 
   CHECK(loose < 0.2);
   CHECK(tight < 0.2 * loose);
   CHECK(calm < 0.05 * loose);
+}
+
+TEST_CASE("a direction that ends a frame unseen leaves no more than is enough, and a wild one does not") {
+  const Usual usual;
+  const NewtonBody body = bent_block(5, 3, 3);
+  constexpr int iterations = 64;
+  for (const InstructionSet set : available_instruction_sets()) {
+    CAPTURE(name_of(set));
+    use_instruction_set(set);
+    for (const double enough : {1e-2, 1e-3, 1e-4}) {
+      CAPTURE(enough);
+      NewtonProblem problem(body);
+      StepGuard guard(problem);
+      std::vector<Positions> x, u(4, body.rest_positions);
+      for (int frame = 0; frame < 16; ++frame) x.push_back(swinging(body.rest_positions, std::max(frame - 3, 0)));
+      int ended = 0;
+      for (std::size_t frame = 4; frame < x.size(); ++frame) {
+        problem.begin({{u[0], u[1], u[2], u[3]}, {x[frame], x[frame - 1], x[frame - 2], x[frame - 3]}});
+        guard.begin();
+        double reach = 1.0, expected = 1.0;
+        bool ends = false;
+        for (int k = 0; k < 12 && !ends; ++k) {
+          const double left = guard.evaluate(guard.tangent(expected));
+          expected = guard.expected_error(reach);
+          problem.solve(iterations);
+          guard.has_solved(iterations);
+          reach = problem.direction_length() / left;
+          ends = guard.ends_frame(reach, enough);
+          CHECK_FALSE((ends && k == 0));  // nothing is known of how much a step leaves
+          if (!ends) guard.before_step(false, false);
+          problem.move_along_direction();
+        }
+        ended += ends;
+        if (ends) CHECK(guard.evaluate() < enough);
+        std::rotate(u.begin(), u.end() - 1, u.end());
+        u[0] = body.rest_positions;
+        problem.write_estimate(u[0]);
+      }
+      CHECK(ended == 12);
+    }
+  }
 }
 
 TEST_CASE("gravity is what a falling frame of reference feels") {

@@ -350,7 +350,7 @@ class PlainNewton {
     const Vector first = s;
     double square = r.dot(s);
     bool definite = true;
-    const double enough = 0.01 * 0.01 * square;
+    const double tolerance = slow_ ? 0.003 : 0.01, enough = tolerance * tolerance * square;
     for (taken_ = 0; taken_ < iterations && square > enough; ++taken_) {
       const Vector q = matrix * p;
       definite = p.dot(q) > 0;
