@@ -29,7 +29,7 @@ constexpr std::int32_t part_rows = NewtonProblem::part_groups * kNewtonGroup;
 // Rows from which on the matrix is kept in 16 bits a number: smaller ones fit the second-level cache as they are.
 constexpr std::int32_t rounded_from = 1536;
 // Rows from which on conjugate gradients have a coarse system.
-constexpr std::int32_t coarse_system_from = 4096;
+constexpr std::int32_t coarse_system_from = 768;
 // Rows that are sorted by their number of neighbours, so that the 16 of a group have about as many: an aggregate.
 constexpr std::size_t sorting_window = aggregate_groups * kNewtonGroup;
 // Rows that follow each other are compact in runs up to so many.

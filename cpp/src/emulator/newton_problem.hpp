@@ -49,8 +49,8 @@ struct NewtonProblem {
   /// it is not positive definite.
   /// @return root mean square of the first preconditioned residual
   double assemble(Tangent tangent);
-  /// Finds the direction by so many iterations at most, or fewer that leave so much of the preconditioned residual; `slope` is that of the energy along it. It is the convex tangent's where
-  /// the exact one turns out not to be positive definite.
+  /// Finds the direction by so many iterations at most, or fewer that leave so much of the preconditioned residual; `slope` is that
+  /// of the energy along it. It is the convex tangent's where the exact one turns out not to be positive definite.
   void solve(int most, double tolerance = 0.01);
   /// Root mean square of the direction that has just been found, in edges.
   double direction_length() const;

@@ -57,8 +57,8 @@ inline bool deformation_gradients(const NewtonTets& tets, std::int64_t group, fl
 }
 
 inline void store_corner(float (*out)[kGroup], int lane, const Symmetric& stiffness, Triple force) {
-  const Real values[] = {stiffness.xx, stiffness.yy, stiffness.zz, stiffness.xy, stiffness.xz, stiffness.yz,
-                         force.x,      force.y,      force.z};
+  const Real values[] = {stiffness.xx, stiffness.yy, stiffness.zz, stiffness.xy, stiffness.xz,
+                         stiffness.yz, force.x,      force.y,      force.z};
   for (int k = 0; k < kBlock; ++k) store(&out[k][lane], values[k]);
 }
 

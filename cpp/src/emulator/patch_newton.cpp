@@ -92,6 +92,13 @@ struct PackedPass {
   PackedGuide guide;
 };
 
+// How the steps of a frame are found: as usual, or from where the simulation starts, without guides.
+enum class Manner { usual, as_simulated };
+
+// How passes come to their end: where little is left, after a step that nobody needed to look at, or in doubt whether the frame has
+// several solutions.
+enum class Ending { seen, unseen, doubtful };
+
 }  // namespace
 
 void require_schedule(const NewtonSchedule& schedule) {
@@ -118,8 +125,8 @@ void require_schedule(const NewtonSchedule& schedule) {
 struct PatchNewton::Parts {
   Parts(const NewtonBody& body, const NewtonSchedule& schedule);
   void take_guided_step(const PackedGuide& guide, bool of_pass);
-  void take_passes(int count, const PackedPass* first, std::size_t different, double enough);
-  void take_all_passes(ConstPositions next_reference, double enough);
+  Ending take_passes(int count, const PackedPass* first, std::size_t different, double enough, Manner manner);
+  Ending take_all_passes(ConstPositions next_reference, double enough, Manner& manner);
   void start_as_simulated(ConstPositions next_reference);
   void solve_frame(ConstPositions reference);
 
@@ -136,8 +143,6 @@ struct PatchNewton::Parts {
   std::array<Positions, 4> dynamic;    // u(t), u(t-1), u(t-2), u(t-3)
   std::array<Positions, 3> reference;  // x(t), x(t-1), x(t-2)
   Positions next;                      // u(t+1)
-  bool ended = false;                  // the frame's last step needs no look
-  bool again = false;                  // the frame has begun again as the simulation does
   std::int64_t frames = -1;            // since the reset; -1: never reset
 };
 
@@ -184,27 +189,24 @@ void PatchNewton::Parts::take_guided_step(const PackedGuide& guide, bool of_pass
 
 // The last of the different passes is repeated. Where a frame has begun again, a first pass shows how far its direction reaches,
 // and guides, which know little of such frames, have no say.
-void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::size_t different, double enough) {
+Ending PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::size_t different, double enough, Manner manner) {
+  const bool usual = manner == Manner::usual;
   double reach = 1.0, expected = std::numeric_limits<double>::infinity();
   for (int k = 0; k < count; ++k) {
     const double left = guard.evaluate(guard.tangent(expected));
     expected = guard.expected_error(reach);
-    if (!(left >= nothing_left)) return;
-    if (!(expected >= enough || (again && k == 0))) return;
-    if (!again && k == passes_before_doubt && guard.expected_error(1.0) >= doubtful_error) {
-      again = true;
-      return;
-    }
+    if (!(left >= nothing_left)) break;
+    if (!(expected >= enough || (!usual && k == 0))) break;
+    if (usual && k == passes_before_doubt && guard.expected_error(1.0) >= doubtful_error) return Ending::doubtful;
     const PackedPass& pass = first[std::min(static_cast<std::size_t>(k), different - 1)];
     problem.solve(guard.iterations(pass.iterations), guard.tolerance());
     guard.has_solved(pass.iterations);
     reach = problem.direction_length() / left;
     if (guard.ends_frame(reach, enough)) {
       problem.move_along_direction();
-      ended = true;
-      return;
+      return Ending::unseen;
     }
-    const bool guided = !again && !pass.guide.layers.empty() && guard.guided();
+    const bool guided = usual && !pass.guide.layers.empty() && guard.guided();
     guard.before_step(guided, k + 1 == count);
     if (guided) {
       take_guided_step(pass.guide, true);
@@ -212,6 +214,7 @@ void PatchNewton::Parts::take_passes(int count, const PackedPass* first, std::si
       problem.move_along_direction();
     }
   }
+  return Ending::seen;
 }
 
 // The best of: the last offset from the reference, turned as the reference turns; half way from there to where inertia leads; where
@@ -250,23 +253,22 @@ void PatchNewton::Parts::start_as_simulated(ConstPositions next_reference) {
   std::fill_n(problem.motion.data(), 3 * padded, 0.0f);
 }
 
-void PatchNewton::Parts::take_all_passes(ConstPositions next_reference, double enough) {
-  const bool before = again;
-  take_passes(most_passes, passes.data(), passes.size(), enough);
-  if (again && !before) {
+Ending PatchNewton::Parts::take_all_passes(ConstPositions next_reference, double enough, Manner& manner) {
+  Ending ending = take_passes(most_passes, passes.data(), passes.size(), enough, manner);
+  if (ending == Ending::doubtful) {
+    manner = Manner::as_simulated;
     start_as_simulated(next_reference);
     guard.begin_again();
-    take_passes(most_passes_again, passes.data(), passes.size(), enough);
+    ending = take_passes(most_passes_again, passes.data(), passes.size(), enough, manner);
   }
-  if (extra_passes > 0) ended = false;
-  take_passes(extra_passes, &extra, 1, nothing_left);
+  if (extra_passes > 0) ending = take_passes(extra_passes, &extra, 1, nothing_left, manner);
   guard.end();
+  return ending;
 }
 
 void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
   problem.begin({{dynamic[0], dynamic[1], dynamic[2], dynamic[3]}, {next_reference, reference[0], reference[1], reference[2]}});
   guard.begin();
-  again = ended = false;
   take_guided_step(start, false);
   double square = 0;
   for (int k = 0; k < 3; ++k) {
@@ -275,8 +277,9 @@ void PatchNewton::Parts::solve_frame(ConstPositions next_reference) {
   }
   const double liveliness = std::min(1.0, std::sqrt(square / (3.0 * std::max(problem.free_count, 1))) / lively_step);
   const double enough = std::max(tolerance * liveliness, nothing_left);
-  take_all_passes(next_reference, enough);
-  if (!ended && most_passes + extra_passes > 0 && guard.go_to_better_reference()) take_all_passes(next_reference, enough);
+  Manner manner = Manner::usual;
+  const bool seen = take_all_passes(next_reference, enough, manner) != Ending::unseen && most_passes + extra_passes > 0;
+  if (seen && guard.go_to_better_reference()) take_all_passes(next_reference, enough, manner);
   if (!problem.finite()) problem.start_over();
   problem.write_estimate(next);
 }

@@ -143,7 +143,7 @@ TEST_CASE("a body so large that its matrix is kept in 16 bits moves as each of t
       together.restore(state);
       const Positions moved = swinging(one.rest_positions, frame), expected = twice(alone.step(moved));
       const double off = (together.step(twice(moved)) - expected).norm() / std::sqrt(static_cast<double>(expected.size())) / edge;
-      CHECK(off < 2e-4);
+      CHECK(off < 1e-3);  // coarse systems see to the two in other portions
       CHECK(difference(expected, state.arrays[0]) > 0.5);
     }
   }
