@@ -376,15 +376,16 @@ void NewtonProblem::arrange_parts(const std::vector<RowTet>& tets) {
   std::vector<RowTet> slots;
   auto tet = tets.begin();
   for (std::int32_t part = 0; part < parts; ++part) {
-    const std::int32_t end_row = std::min((part + 1) * part_rows, free_count), nowhere = part_sums.back();
-    std::int32_t next = nowhere + kBlock;
+    // What nobody asks for has a place for each lane, as adding to the one that was just added to would have to wait.
+    const std::int32_t end_row = std::min((part + 1) * part_rows, free_count), first_nowhere = part_sums.back();
+    std::int32_t next = first_nowhere + kBlock * kNewtonGroup;
     for (std::int32_t row = part * part_rows; row < end_row; ++row) {
       const FreeEdges edges = free_edges(row);
       row_places[size(row)] = next;
       next += kBlock * (1 + edges.end - edges.higher);
     }
     std::map<std::pair<std::int32_t, std::int32_t>, std::int32_t> halo;
-    const auto place_of = [&](std::int32_t row, std::int32_t other) {
+    const auto place_of = [&](std::int32_t row, std::int32_t other, std::int32_t nowhere) {
       if (other >= free_count) return nowhere;
       if (row < end_row) return sum_place(row, other);
       const auto [found, is_new] = halo.try_emplace({row, other}, next);
@@ -400,16 +401,16 @@ void NewtonProblem::arrange_parts(const std::vector<RowTet>& tets) {
       const bool real = tet + slot < end;
       const RowTet& it = slots.emplace_back(real ? tet[slot] : *(end - 1));
       if (!real) slots.back().volume = 0.0;
-      if (slot % kNewtonGroup == 0) places.resize(places.size() + kTetBlocks * kNewtonGroup, nowhere);
-      if (!real) continue;
-      std::int32_t* place = &places[places.size() - size(kTetBlocks * kNewtonGroup - slot % kNewtonGroup)];
-      const auto put_next = [&place](std::int32_t where) {
-        *place = where;
+      const std::int32_t lane = slot % kNewtonGroup, nowhere = first_nowhere + kBlock * lane;
+      if (lane == 0) places.resize(places.size() + kTetBlocks * kNewtonGroup);
+      std::int32_t* place = &places[places.size() - size(kTetBlocks * kNewtonGroup - lane)];
+      const auto put_next = [&](std::int32_t row, std::int32_t other) {
+        *place = real ? place_of(row, other, nowhere) : nowhere;
         place += kNewtonGroup;
       };
-      for (const std::int32_t row : it.rows) put_next(place_of(row, row));
+      for (const std::int32_t row : it.rows) put_next(row, row);
       for (std::size_t a = 0; a < 4; ++a) {
-        for (std::size_t b = a + 1; b < 4; ++b) put_next(place_of(it.rows[a], it.rows[b]));
+        for (std::size_t b = a + 1; b < 4; ++b) put_next(it.rows[a], it.rows[b]);
       }
     }
     tet = end;

@@ -25,7 +25,7 @@ struct NewtonTets {
   const std::int32_t* corners;  ///< (groups, 4, 16) rows, ascending in every tet; a part's last ones are repeated with no volume
   const float* gradients;       ///< (groups, 9, 16) inverse of the rest edges: F = edges gradients
   const float* materials;       ///< (groups, 4, 16) volume, mu, lambda, compression resistance
-  const double* positions;      ///< (rows, 3)
+  const double* positions;      ///< (rows, 3), and one more to spare
   const std::int32_t* places;   ///< (groups, 10, 16) in the sums; where nobody asks for a block, a place that nobody reads
   float* sums;                  ///< what is added to, and seven floats to spare
   float* energies;              ///< out: (groups, 16)
