@@ -37,10 +37,11 @@ py::tuple arrays_of(PatchFeatures&& features) { return py::make_tuple(std::move(
 
 NewtonBody body_of(ConstPositions rest_positions, ConstTets tets, ConstMask constrained, const Vector& youngs_modulus,
                    const Vector& density, double dt, double edge_length, double poisson_ratio, double compression_resistance,
-                   const Eigen::Vector3d& gravity = Eigen::Vector3d::Zero()) {
+                   const Vector& pin_stiffness = {}, const Eigen::Vector3d& gravity = Eigen::Vector3d::Zero()) {
   return {{rest_positions, tets, constrained, youngs_modulus, density, dt, edge_length, gravity},
           poisson_ratio,
-          compression_resistance};
+          compression_resistance,
+          pin_stiffness};
 }
 
 py::array_t<Index> array_of_indices(const std::vector<Index>& indices) {
@@ -89,10 +90,10 @@ void bind_emulator_newton(py::module_& m) {
   py::class_<PatchNewton, Solver>(m, "PatchNewton", "Dynamics by corrected Newton steps. Use followthrough.emulator.Emulator.")
       .def(py::init([](ConstPositions rest_positions, ConstTets tets, ConstMask constrained, const Vector& youngs_modulus,
                        const Vector& density, double dt, double edge_length, const Eigen::Vector3d& gravity, double poisson_ratio,
-                       double compression_resistance, const Layers& start, const std::vector<std::pair<int, Layers>>& passes,
+                       double compression_resistance, const Vector& pin_stiffness, const Layers& start, const std::vector<std::pair<int, Layers>>& passes,
                        int most_passes, double tolerance, int extra_passes, int extra_iterations) {
              const NewtonBody body = body_of(rest_positions, tets, constrained, youngs_modulus, density, dt, edge_length,
-                                             poisson_ratio, compression_resistance, gravity);
+                                             poisson_ratio, compression_resistance, pin_stiffness, gravity);
              NewtonSchedule schedule{guide_of(start), {}, most_passes, tolerance, extra_passes, extra_iterations};
              for (const auto& [iterations, guide] : passes) schedule.passes.push_back({iterations, guide_of(guide)});
              const py::gil_scoped_release release;
@@ -100,7 +101,7 @@ void bind_emulator_newton(py::module_& m) {
            }),
            py::arg("rest_positions"), py::arg("tets"), py::arg("constrained"), py::arg("youngs_modulus"), py::arg("density"),
            py::arg("dt"), py::arg("edge_length"), py::arg("gravity"), py::arg("poisson_ratio"), py::arg("compression_resistance"),
-           py::arg("start"), py::arg("passes"), py::arg("most_passes"), py::arg("tolerance"), py::arg("extra_passes"),
+           py::arg("pin_stiffness"), py::arg("start"), py::arg("passes"), py::arg("most_passes"), py::arg("tolerance"), py::arg("extra_passes"),
            py::arg("extra_iterations"))
       .def_property_readonly("vertex_count", &PatchNewton::vertex_count)
       .def_property_readonly("free_vertex_count", &PatchNewton::free_vertex_count)

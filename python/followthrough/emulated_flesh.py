@@ -17,7 +17,7 @@ from followthrough.controls import RelativeDamping, SoftPins
 from followthrough.elastic import PredictorCorrector
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights
-from followthrough.flesh import Flesh, logarithmic, middle_rate, nothing_to_simulate, paint_flesh, true_solver
+from followthrough.flesh import Flesh, elastic_body, logarithmic, middle_rate, nothing_to_simulate, paint_flesh, true_solver
 from followthrough.mesh import TetMesh
 from followthrough.settings import EmulatorSettings, Settings, SimulationSettings
 from followthrough.solver import Solver
@@ -29,8 +29,9 @@ def make_emulated_flesh(
 ) -> Solver:
     """The emulator on a volume, with the painted constants of simulated flesh (`flesh.paint_flesh`).
 
-    Soft pins are springs of the same stiffness as in the simulation (`controls.SoftPins`), and damping is that of the motion
-    relative to the reference, at the rate at which the simulation's damping is measured. Corrections solve the same equations.
+    Soft pins are springs of the same stiffness as in the simulation; what the paper's network moves hangs on them after each step
+    (`controls.SoftPins`). Damping is that of the motion relative to the reference, at the rate at which the simulation's damping is
+    measured. Corrections solve the same equations.
 
     Parameters
     ----------
@@ -52,6 +53,10 @@ def make_emulated_flesh(
     weights = load_weights(settings)
     if flesh.constrained.all():
         return nothing_to_simulate(flesh, dt)
+    pinned_softly = bool(flesh.pin_stiffness.any())
+    pins = None
+    if pinned_softly and weights.newton is not None:
+        pins = elastic_body(volume, flesh).lumped_mass * flesh.pin_stiffness
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `caution` says it in the artist's words
         solver: Solver = Emulator(
@@ -63,8 +68,9 @@ def make_emulated_flesh(
             dt,
             weights,
             gravity=flesh.gravity,
+            pin_stiffness=pins,
         )
-    if flesh.pin_stiffness.any():
+    if pinned_softly and pins is None:
         solver = SoftPins(solver, kept_share(flesh, dt))
     if settings.corrections:
         solver = PredictorCorrector(

@@ -57,6 +57,9 @@ class Emulator(Solver):
     poisson_ratio, compression_resistance
         Of the material; None: what the network was trained on. The paper's network knows no other; where they differ a UserWarning
         says so.
+    pin_stiffness : (n,) float, optional
+        N/m of springs that pull vertices to the reference, part of the equations that Newton steps solve. Only for networks that guide
+        Newton steps.
     extra_passes, extra_iterations
         Newton passes without a network at the end of each frame, and conjugate gradient iterations of each: the more, the nearer to
         backward Euler's own answer, and the slower. Only for networks that guide Newton steps.
@@ -85,6 +88,7 @@ class Emulator(Solver):
         edge_length: float | None = None,
         poisson_ratio: float | None = None,
         compression_resistance: float | None = None,
+        pin_stiffness: ArrayLike | None = None,
         extra_passes: int = 0,
         extra_iterations: int = 16,
         precision: Precision = "float32",
@@ -113,6 +117,11 @@ class Emulator(Solver):
                 raise ValueError(
                     f"extra_passes: found {extra_passes}, expected 0 for a network that takes no Newton steps"
                 )
+            if pin_stiffness is not None:
+                raise ValueError(
+                    "pin_stiffness: found some, expected none for a network that takes no Newton steps"
+                    " (controls.SoftPins holds what it moves)"
+                )
             core = _patch_network(body, weights, precision)
         else:
             if precision != "float32":
@@ -124,6 +133,9 @@ class Emulator(Solver):
             core = _core.PatchNewton(
                 *body,
                 *material,
+                np.zeros(0)
+                if pin_stiffness is None
+                else array_checks.per_vertex("pin_stiffness", pin_stiffness, len(rest)),
                 start,
                 list(zip(schedule.iterations, passes, strict=True)),
                 schedule.most_passes,

@@ -109,15 +109,20 @@ def make_flesh(volume: Volume, settings: SimulationSettings, dt: float) -> Solve
     return true_solver(volume, flesh, dt, quality=settings.quality, stiffness_damping=_stiffness_damping(settings))
 
 
-def true_solver(volume: Volume, flesh: Flesh, dt: float, **options: Any) -> ImplicitEuler:
-    """Finite elements of this flesh; options as `ImplicitEuler` has them."""
-    body = ElasticBody(
+def elastic_body(volume: Volume, flesh: Flesh) -> ElasticBody:
+    """A volume of this flesh."""
+    return ElasticBody(
         volume.tet_mesh.vertices,
         volume.tet_mesh.tets,
         flesh.youngs_modulus,
         density=flesh.density,
         poisson_ratio=POISSON_RATIO,
     )
+
+
+def true_solver(volume: Volume, flesh: Flesh, dt: float, **options: Any) -> ImplicitEuler:
+    """Finite elements of this flesh; options as `ImplicitEuler` has them."""
+    body = elastic_body(volume, flesh)
     return ImplicitEuler(
         body,
         flesh.constrained,

@@ -60,6 +60,14 @@ void require_constants(const NewtonBody& body, Eigen::Index count) {
   };
   require_positive("youngs_modulus", body.youngs_modulus);
   require_positive("density", body.density);
+  if (body.pin_stiffness.size() > 0) {
+    require_rows("pin_stiffness", body.pin_stiffness.size(), count);
+    for (Eigen::Index v = 0; v < count; ++v) {
+      if (std::isfinite(body.pin_stiffness[v]) && body.pin_stiffness[v] >= 0.0) continue;
+      throw InvalidInput("pin_stiffness", "found " + std::to_string(body.pin_stiffness[v]) + " at vertex " + std::to_string(v) +
+                                              ", expected finite numbers, 0 or more");
+    }
+  }
   if (!(std::isfinite(body.dt) && body.dt > 0.0)) {
     throw InvalidInput("dt", "found " + std::to_string(body.dt) + ", expected a positive number of seconds");
   }
@@ -218,6 +226,14 @@ void NewtonProblem::arrange(const NewtonBody& body) {
     throw InvalidInput(
         "tets", "found no volume around the free vertex " + std::to_string(vertices[size(row)]) + ", expected it to have mass");
   }
+  if (body.pin_stiffness.size() > 0 && body.pin_stiffness.maxCoeff() > 0.0) {
+    pins = floats(size(padded));
+    ways = floats(3 * size(padded));
+    const double unit = frames_per_edge * frames_per_edge * inverse_length / mean_density;  // of N/m
+    for (std::int32_t row = 0; row < free_count; ++row) {
+      pins.data()[row] = static_cast<float>(unit * body.pin_stiffness[vertices[size(row)]]);
+    }
+  }
   const std::vector<double> neighbour_masses = arrange_edges(tets);
   arrange_parts(tets);
   arrange_slots(neighbour_masses);
@@ -290,6 +306,8 @@ void NewtonProblem::arrange(const NewtonBody& body) {
                border_columns.data(),
                border_masses.data(),
                masses.data(),
+               pins.data(),
+               ways.data(),
                sums.data(),
                offsets.data(),
                scales.data(),
@@ -480,7 +498,8 @@ void NewtonProblem::arrange_coarse(const std::vector<double>& neighbour_masses) 
     // Of a tet each corner has a tenth of the mass on the diagonal, twice what it has with each of the others.
     double own = 0;
     for (Index edge = edge_starts[size(row)]; edge < edge_starts[size(row) + 1]; ++edge) own += neighbour_masses[size(edge)];
-    entries.push_back({row, row, row_places[size(row)], 2.0 / 3.0 * own});
+    const double pin = !pins.data() ? 0.0 : static_cast<double>(pins.data()[row]);
+    entries.push_back({row, row, row_places[size(row)], 2.0 / 3.0 * own + pin});
     for (Index edge = edges.higher; edge < edges.end; ++edge) {
       const std::int32_t other = edge_rows[size(edge)];
       entries.push_back({row, other, sum_place(row, other), neighbour_masses[size(edge)]});

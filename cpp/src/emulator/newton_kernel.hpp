@@ -48,6 +48,8 @@ struct NewtonRows {
   const std::int32_t* border_columns;  ///< (border slots, 16) likewise
   const float* border_masses;          ///< (border slots, 16)
   const float* masses;                 ///< (padded,) on the diagonal
+  const float* pins;                   ///< (padded,) stiffness of springs to the reference; null: none
+  const float* ways;                   ///< (3, padded) from y to the reference, where there are pins
   const float* sums;                   ///< of the tets; nine zeros come first
   const float* offsets;                ///< z - y, four floats a row, those of constrained rows after the padding
   float* scales;                       ///< out: (padded, 4) one over the roots

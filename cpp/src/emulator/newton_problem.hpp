@@ -107,6 +107,7 @@ struct NewtonProblem {
   std::vector<std::int16_t> rounded_blocks;
   AlignedFloats gradients, materials, energies, sums, slot_masses, slot_turned, border_masses, masses, offsets, scales, traces,
       roots, blocks, diagonal, inverse, residual, preconditioned, directions, product, solution, first, saved_solution;
+  AlignedFloats pins, ways;  // none where nothing is pinned softly
   // What guides are told, and what they say. Each vector is (3,padded), each number (padded,).
   AlignedFloats history, means, records, motion, log_squares, log_diagonals, inverse_squares, steps;
   std::vector<const float*> start_vectors, pass_vectors, start_scalars, pass_scalars;

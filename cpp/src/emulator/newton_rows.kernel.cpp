@@ -111,7 +111,8 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
       Real own[kBlock];
       gather_blocks(rows.sums, rows.row_places + row + lane, own);
       const Real mass = load_real(rows.masses + row + lane);
-      const Triple d{own[0] + mass, own[1] + mass, own[2] + mass};
+      const Real pin = rows.pins ? load_real(rows.pins + row + lane) : zero, stays = mass + pin;
+      const Triple d{own[0] + stays, own[1] + stays, own[2] + stays};
       const Triple roots{root(d.x), root(d.y), root(d.z)};
       const Triple scale{one / roots.x, one / roots.y, one / roots.z};
       const Symmetric scaled{
@@ -130,7 +131,8 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
                                          rows.slot_starts[group + 1], lane, offset * mass);
       const Triple border = add_inertia(rows, rows.border_columns, rows.border_masses, rows.border_starts[group],
                                         rows.border_starts[group + 1], lane, none);
-      const Triple force = Triple{own[6], own[7], own[8]} + inertia + border;
+      const Triple lag = rows.pins ? offset - load_triple(rows.ways + row + lane, rows.padded) : none, pull = lag * pin;
+      const Triple force = Triple{own[6], own[7], own[8]} + inertia + border + pull;
       const Triple residual = times(none - force, scale), next = inverse * residual;
       const Triple first = times(next, scale);
       store(rows.first + row + lane, rows.padded, first);
@@ -142,7 +144,8 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
       store(&sums->sums[1][lane], load_real(&sums->sums[1][lane]) + dot(first, first));
       store(&sums->sums[3][lane], load_real(&sums->sums[3][lane]) + choose(definite, zero, one));
       // Between free vertices every product is met from either side.
-      store(&sums->sums[2][lane], load_real(&sums->sums[2][lane]) + dot(offset, fma_of(inertia, real(0.5f), border)));
+      store(&sums->sums[2][lane], load_real(&sums->sums[2][lane]) + dot(offset, fma_of(inertia, real(0.5f), border)) +
+                                      dot(lag, pull) * real(0.5f));
     }
   }
 }

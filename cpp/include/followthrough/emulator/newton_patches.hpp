@@ -6,11 +6,12 @@
 ///
 /// Lengths are in edges L, times in frames h, masses in rho L^3 with rho the mean density, so that a tet's modulus is
 /// s = E h^2 / (rho L^2). The elastic energy is material.hpp's: St. Venant-Kirchhoff, compression resistance, stretches clamped at
-/// 0.1; M(z - y) + f(z) is the gradient at z, y = 2 u(t) - u(t-1), with the consistent mass matrix. The tangent is made convex
+/// 0.1; M(z - y) + f(z) + k(z - x(t+1)) is the gradient at z, y = 2 u(t) - u(t-1), with the consistent mass matrix and the springs
+/// that pull vertices to the reference, if any (guides do not know of these). The tangent is made convex
 /// (Irving et al. 2004): no stress term where the stress is not positive definite, none of the pressure's own.
 ///
 /// The estimate starts at y on free vertices, and at x(t+1) on constrained ones. A direction is a few iterations of conjugate
-/// gradients on the tangent, preconditioned by its 3x3 diagonal blocks and, from 4096 free vertices on, by a coarse system of
+/// gradients on the tangent, preconditioned by its 3x3 diagonal blocks and, from 768 free vertices on, by a coarse system of
 /// vertices that move as one.
 ///
 /// Vectors that the guide of the start is told, in this order:
@@ -41,6 +42,7 @@ namespace followthrough {
 struct NewtonBody : EmulatedBody {
   double poisson_ratio = 0.45;          ///< more than -1, less than 0.5
   double compression_resistance = 1e5;  ///< relative to Young's modulus; not negative
+  Vector pin_stiffness;                 ///< (n,) N/m of springs to the reference, not negative; empty: none
 };
 
 /// Positions that a frame starts from, m, each (n,3).
@@ -92,8 +94,8 @@ class NewtonPatches {
   PatchFeatures start_features();
   /// @brief Gradient, tangent and direction at the estimate. A step that made the energy worse is taken back first
   /// (patch_newton.hpp).
-  /// @param iterations of the conjugate gradients, at most (NewtonPass); they stop at 0.003 of the first residual, with a coarse
-  /// system 0.01
+  /// @param iterations of the conjugate gradients, at most (NewtonPass); they stop at 0.01 of the first residual, at 0.003
+  /// after a step that left more than half of it where there is no coarse system
   /// @return the root mean square, over free components, of the first preconditioned residual, in edges; 0 where no part of the
   ///   direction brought the energy down either
   double evaluate(int iterations);
