@@ -90,8 +90,9 @@ void bind_emulator_newton(py::module_& m) {
   py::class_<PatchNewton, Solver>(m, "PatchNewton", "Dynamics by corrected Newton steps. Use followthrough.emulator.Emulator.")
       .def(py::init([](ConstPositions rest_positions, ConstTets tets, ConstMask constrained, const Vector& youngs_modulus,
                        const Vector& density, double dt, double edge_length, const Eigen::Vector3d& gravity, double poisson_ratio,
-                       double compression_resistance, const Vector& pin_stiffness, const Layers& start, const std::vector<std::pair<int, Layers>>& passes,
-                       int most_passes, double tolerance, int extra_passes, int extra_iterations) {
+                       double compression_resistance, const Vector& pin_stiffness, const Layers& start,
+                       const std::vector<std::pair<int, Layers>>& passes, int most_passes, double tolerance, int extra_passes,
+                       int extra_iterations) {
              const NewtonBody body = body_of(rest_positions, tets, constrained, youngs_modulus, density, dt, edge_length,
                                              poisson_ratio, compression_resistance, pin_stiffness, gravity);
              NewtonSchedule schedule{guide_of(start), {}, most_passes, tolerance, extra_passes, extra_iterations};
@@ -101,8 +102,8 @@ void bind_emulator_newton(py::module_& m) {
            }),
            py::arg("rest_positions"), py::arg("tets"), py::arg("constrained"), py::arg("youngs_modulus"), py::arg("density"),
            py::arg("dt"), py::arg("edge_length"), py::arg("gravity"), py::arg("poisson_ratio"), py::arg("compression_resistance"),
-           py::arg("pin_stiffness"), py::arg("start"), py::arg("passes"), py::arg("most_passes"), py::arg("tolerance"), py::arg("extra_passes"),
-           py::arg("extra_iterations"))
+           py::arg("pin_stiffness"), py::arg("start"), py::arg("passes"), py::arg("most_passes"), py::arg("tolerance"),
+           py::arg("extra_passes"), py::arg("extra_iterations"))
       .def_property_readonly("vertex_count", &PatchNewton::vertex_count)
       .def_property_readonly("free_vertex_count", &PatchNewton::free_vertex_count)
       .def_property_readonly("edge_count", &PatchNewton::edge_count)

@@ -17,7 +17,15 @@ from followthrough.controls import RelativeDamping, SoftPins
 from followthrough.elastic import PredictorCorrector
 from followthrough.emulator import Emulator
 from followthrough.emulator_weights import EmulatorWeights
-from followthrough.flesh import Flesh, elastic_body, logarithmic, middle_rate, nothing_to_simulate, paint_flesh, true_solver
+from followthrough.flesh import (
+    Flesh,
+    elastic_body,
+    logarithmic,
+    middle_rate,
+    nothing_to_simulate,
+    paint_flesh,
+    true_solver,
+)
 from followthrough.mesh import TetMesh
 from followthrough.settings import EmulatorSettings, Settings, SimulationSettings
 from followthrough.solver import Solver

@@ -84,6 +84,20 @@ def test_corrections_lead_to_the_simulation_with_its_gravity_and_pins(weights: E
     assert errors[-1] < 0.02 * max(np.abs(step).max() for step in true)
 
 
+@pytest.mark.parametrize("gravity", [0.0, 5.0])
+def test_what_ships_is_the_simulation_soft_pins_and_all(gravity: float) -> None:
+    """Also where they change along the flesh, which does not swing as one layer then."""
+    volume = held_at_one_end(bar())
+    along = volume.tet_mesh.vertices[:, 0]
+    soft = 0.9 * np.sin(np.pi * along / along.max()) ** 2
+    volume = dataclasses.replace(volume, pins=np.maximum(volume.pins, soft))
+    simulation = dataclasses.replace(FLESH, gravity=gravity, quality="converged")
+    true = np.array(shaken(make_flesh(volume, simulation, DT), volume))
+    found = np.array(shaken(make_emulated_flesh(volume, simulation, EmulatorSettings(), DT), volume))
+    assert np.abs(true).max() > 0.01
+    assert np.abs(found - true).max() < 0.02 * np.abs(true).max()
+
+
 @pytest.mark.parametrize("dt", [1.0, 1.0 / 24.0])
 def test_a_soft_pin_of_p_leaves_1_minus_p_of_the_motion_whatever_the_frame_length(dt: float) -> None:
     """Of a layer of flesh that hangs on a wall, moved by a solver that knows nothing of pins."""

@@ -117,6 +117,26 @@ def test_extra_passes_take_a_frame_to_backward_eulers_answer(sequence: Sequence,
         Emulator.of_sequence(sequence, EmulatorWeights(random_parameters(0)), extra_passes=1)
 
 
+def test_soft_pins_are_for_networks_that_take_newton_steps(sequence: Sequence, weights: EmulatorWeights) -> None:
+    def make(network: EmulatorWeights, pins: object) -> Emulator:
+        s = sequence
+        return Emulator(
+            s.rest_positions, s.tets, s.constrained, s.youngs_modulus, s.density, s.dt, network, pin_stiffness=pins
+        )
+
+    assert make(weights, np.zeros(sequence.vertex_count)).vertex_count == sequence.vertex_count
+    with pytest.raises(
+        ValueError, match=r"pin_stiffness: found some, expected none for a network that takes no Newton"
+    ):
+        make(EmulatorWeights(random_parameters(0)), np.ones(sequence.vertex_count))
+    with pytest.raises(ValueError, match="pin_stiffness: found"):
+        make(weights, np.ones(3))
+    with pytest.raises(
+        ValueError, match=r"pin_stiffness: found -1.0.* at vertex 0, expected finite numbers, 0 or more"
+    ):
+        make(weights, -np.ones(sequence.vertex_count))
+
+
 def test_the_material_is_the_scenes_own(sequence: Sequence, weights: EmulatorWeights) -> None:
     with pytest.warns(UserWarning, match=r"poisson_ratio: found 0\.3, but the network learned 0\.45 and guides others"):
         other = Emulator.of_sequence(replace(sequence, poisson_ratio=0.3), weights)

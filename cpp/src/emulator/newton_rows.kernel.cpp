@@ -144,8 +144,8 @@ void assemble_rows(const NewtonRows& rows, std::int32_t first_group, std::int32_
       store(&sums->sums[1][lane], load_real(&sums->sums[1][lane]) + dot(first, first));
       store(&sums->sums[3][lane], load_real(&sums->sums[3][lane]) + choose(definite, zero, one));
       // Between free vertices every product is met from either side.
-      store(&sums->sums[2][lane], load_real(&sums->sums[2][lane]) + dot(offset, fma_of(inertia, real(0.5f), border)) +
-                                      dot(lag, pull) * real(0.5f));
+      store(&sums->sums[2][lane],
+            load_real(&sums->sums[2][lane]) + dot(offset, fma_of(inertia, real(0.5f), border)) + dot(lag, pull) * real(0.5f));
     }
   }
 }

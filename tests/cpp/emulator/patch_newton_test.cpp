@@ -330,6 +330,49 @@ TEST_CASE("with enough passes a frame is backward Euler's own") {
   }
 }
 
+TEST_CASE("soft pins are springs in the equations, as backward Euler's") {
+  const Usual usual;
+  NewtonBody body = bent_block(4, 2, 2);
+  const ElasticBody elastic(body.rest_positions, body.tets, {body.youngs_modulus, body.density});
+  const NewtonBody loose = body;
+  // As strong as inertia at some, and none at others.
+  body.pin_stiffness = elastic.lumped_mass() / (body.dt * body.dt);
+  for (Eigen::Index v = 0; v < body.pin_stiffness.size(); v += 3) body.pin_stiffness[v] = 0.0;
+  for (const InstructionSet set : available_instruction_sets()) {
+    CAPTURE(name_of(set));
+    use_instruction_set(set);
+    const NewtonSchedule schedule = random_schedule(41, two_networks());
+    PlainNewton plain(body, schedule);
+    PatchNewton fast(body, schedule);
+    plain.reset(swinging(body.rest_positions, 0));
+    fast.reset(swinging(body.rest_positions, 0));
+    for (int frame = 1; frame <= 6; ++frame) {
+      const Positions reference = swinging(body.rest_positions, frame);
+      CHECK(difference(fast.step(reference), plain.step(reference)) < 1e-4);
+    }
+  }
+  NewtonSchedule schedule = random_schedule(6, {{4, true, {32, 32}}});
+  schedule.extra_passes = 60;
+  schedule.extra_iterations = 40;
+  for (const Eigen::Vector3d& gravity : {Eigen::Vector3d(0, 0, 0), Eigen::Vector3d(1, -2, -9.81)}) {
+    body.gravity = gravity;
+    ExternalForces forces;
+    forces.gravity = gravity;
+    forces.pin_stiffness = body.pin_stiffness;
+    PatchNewton passes(body, schedule), free_of_pins(loose, schedule);
+    ImplicitEuler exact(elastic, std::make_shared<InvertibleStVK>(), body.constrained, body.dt, {}, forces);
+    for (Solver* solver : std::initializer_list<Solver*>{&passes, &exact, &free_of_pins})
+      solver->reset(swinging(body.rest_positions, 0));
+    for (int frame = 1; frame <= 12; ++frame) {
+      const Positions reference = swinging(body.rest_positions, frame);
+      const Positions expected = exact.step(reference);
+      REQUIRE(exact.last_step().converged);
+      CHECK(difference(passes.step(reference), expected) < 2e-4);
+      CHECK(difference(free_of_pins.step(reference), expected) > 0.02);
+    }
+  }
+}
+
 TEST_CASE("violence leaves it finite, and it comes back to rest") {
   const NewtonBody body = bent_block(5, 3, 3);
   const Positions& rest = body.rest_positions;
@@ -538,6 +581,8 @@ TEST_CASE("what does not fit is refused, naming it") {
   refused(with_body([](NewtonBody& b) { b.edge_length = -1.0; }), "edge_length");
   refused(with_body([](NewtonBody& b) { b.poisson_ratio = 0.5; }), "poisson_ratio");
   refused(with_body([](NewtonBody& b) { b.compression_resistance = -1.0; }), "compression_resistance");
+  refused(with_body([](NewtonBody& b) { b.pin_stiffness = Vector::Ones(2); }), "pin_stiffness");
+  refused(with_body([](NewtonBody& b) { b.pin_stiffness = Vector::Constant(b.density.size(), -1.0); }), "pin_stiffness");
 
   NewtonPatches patches(body);
   const Positions& rest = body.rest_positions;

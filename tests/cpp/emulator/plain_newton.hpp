@@ -93,6 +93,8 @@ class PlainNewton {
         }
       }
     }
+    pins_ = Vector::Zero(n);
+    if (body.pin_stiffness.size()) pins_ = body.pin_stiffness * (body.dt * body.dt / (mass / volume * length_ * length_ * length_));
     for (Eigen::Index v = 0; v < n; ++v) {
       if (!body.constrained[v]) free_.push_back(static_cast<Index>(v));
     }
@@ -114,6 +116,7 @@ class PlainNewton {
     std::vector<Positions> u;
     for (const Positions& frame : u_) u.push_back(frame / length_);
     const Positions x1 = reference / length_, &x0 = u[4];
+    x1_ = x1;
     y_ = 2 * u[0] - u[1];
     z_ = y_;
     slow_ = false;
@@ -211,6 +214,12 @@ class PlainNewton {
     for (const Index v : free_) held.row(v).setZero();
     energy_ = 0.5 * (gradient_.cwiseProduct(z_ - y_).sum() - held.cwiseProduct(masses_ * held).sum());
     tangent_ = Eigen::MatrixXd::Zero(3 * n, 3 * n);
+    for (const Index v : free_) {
+      const Eigen::RowVector3d lag = z_.row(v) - x1_.row(v);
+      gradient_.row(v) += pins_[v] * lag;
+      energy_ += 0.5 * pins_[v] * lag.squaredNorm();
+      tangent_.block<3, 3>(3 * v, 3 * v) += pins_[v] * Eigen::Matrix3d::Identity();
+    }
     for (Eigen::Index a = 0; a < n; ++a) {
       for (Eigen::Index b = 0; b < n; ++b) tangent_.block<3, 3>(3 * a, 3 * b) += masses_(a, b) * Eigen::Matrix3d::Identity();
     }
@@ -421,12 +430,12 @@ class PlainNewton {
   double length_ = 0;
   std::vector<Tet> tets_;
   Eigen::MatrixXd masses_, tangent_;
-  Vector lumped_;
+  Vector lumped_, pins_;
   std::vector<std::set<Index>> near_;
   std::vector<Index> free_;
   std::vector<int> hops_;
   std::vector<Positions> u_;  // u(t) to u(t-3), x(t) to x(t-2)
-  Positions y_, z_, gradient_, g_, p_, l_;
+  Positions y_, z_, x1_, gradient_, g_, p_, l_;
   double energy_ = 0, left_ = 0, slope_ = 0;
   bool slow_ = false;  // a step of the frame left more than half of the residual
   bool guides_ = true, exact_ = false, directions_exact_ = true;

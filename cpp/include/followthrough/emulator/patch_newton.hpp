@@ -3,7 +3,7 @@
 /// Dynamics by truncated Newton steps that small networks guide. A frame is backward Euler's (newton_patches.hpp). A guide makes
 /// its first estimate of the last frames; then come a few passes, each a direction by a few iterations of conjugate gradients and a
 /// guide that makes the step of it. Passes end as soon as little is left to do. A pass without a guide steps along the direction.
-/// So do those after a frame's first three, or after a later one than the first that has left more than half of its residual, as
+/// So do those after a frame's first two, or after a later one than the first that has left more than half of its residual, as
 /// long as conjugate gradients have solved every direction of the frame: in less than the pass's iterations or with the coarse
 /// system of large bodies. Near the end these have the exact tangent, unless that is indefinite.
 /// A step along the direction must bring the energy 1/2 (z - y) M (z - y) + W(z) down (Armijo's rule), a guide's must not raise it
