@@ -50,21 +50,18 @@ inline void add_group_of_blocks(const float (*nine)[kGroup], float* to, const st
     }
   }
 #else
-  float eight[kGroup][8];
+  float blocks[kGroup][9];
   for (int lane = 0; lane < kGroup; lane += kLanes) {
     for (int k = 0; k < 8; k += kLanes) {
       Lanes tile[kLanes];
       for (int row = 0; row < kLanes; ++row) tile[row] = load(nine[k + row] + lane);
       transpose_tile(tile);
-      for (int row = 0; row < kLanes; ++row) store(eight[lane + row] + k, tile[row]);
+      for (int row = 0; row < kLanes; ++row) store(blocks[lane + row] + k, tile[row]);
     }
   }
+  for (int lane = 0; lane < kGroup; ++lane) blocks[lane][8] = nine[8][lane];
   for (int c = 0; c < 4; ++c) {
-    for (int lane = c; lane < kGroup; lane += 4) {
-      float* const there = to + places[lane];
-      for (int k = 0; k < 8; k += kLanes) store(there + k, add(load(there + k), load(eight[lane] + k)));
-      there[8] += nine[8][lane];
-    }
+    for (int lane = c; lane < kGroup; lane += 4) add_block(to + places[lane], blocks[lane]);
   }
 #endif
 }

@@ -41,6 +41,11 @@ def per_vertex(name: str, values: ArrayLike, count: int) -> FloatArray:
     return np.ascontiguousarray(np.broadcast_to(array, (count,)))
 
 
+def optional_per_vertex(name: str, values: ArrayLike | None, count: int) -> FloatArray:
+    """As `per_vertex`; None: an empty array."""
+    return np.zeros(0) if values is None else per_vertex(name, values, count)
+
+
 def vector3(name: str, values: ArrayLike) -> FloatArray:
     """One vector, (3,)."""
     array = numbers(name, values)

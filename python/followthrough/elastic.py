@@ -235,11 +235,7 @@ class ImplicitEuler(_ElasticSolver):
             newton.most_iterations = int(most_iterations)
         if most_linear_iterations is not None:
             newton.most_linear_iterations = int(most_linear_iterations)
-        pins = (
-            np.zeros(0)
-            if pin_stiffness is None
-            else array_checks.per_vertex("pin_stiffness", pin_stiffness, body.vertex_count)
-        )
+        pins = array_checks.optional_per_vertex("pin_stiffness", pin_stiffness, body.vertex_count)
         core = _core.ImplicitEuler(
             body._core,
             body.material,

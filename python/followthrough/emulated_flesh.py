@@ -24,6 +24,7 @@ from followthrough.flesh import (
     middle_rate,
     nothing_to_simulate,
     paint_flesh,
+    soft_pins,
     true_solver,
 )
 from followthrough.mesh import TetMesh
@@ -61,10 +62,8 @@ def make_emulated_flesh(
     weights = load_weights(settings)
     if flesh.constrained.all():
         return nothing_to_simulate(flesh, dt)
-    pinned_softly = bool(flesh.pin_stiffness.any())
-    pins = None
-    if pinned_softly and weights.newton is not None:
-        pins = elastic_body(volume, flesh).lumped_mass * flesh.pin_stiffness
+    pinned_softly = flesh.pin_stiffness.any()
+    solves_pins = pinned_softly and weights.newton is not None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # `caution` says it in the artist's words
         solver: Solver = Emulator(
@@ -76,9 +75,9 @@ def make_emulated_flesh(
             dt,
             weights,
             gravity=flesh.gravity,
-            pin_stiffness=pins,
+            pin_stiffness=soft_pins(elastic_body(volume, flesh), flesh) if solves_pins else None,
         )
-    if pinned_softly and pins is None:
+    if pinned_softly and not solves_pins:
         solver = SoftPins(solver, kept_share(flesh, dt))
     if settings.corrections:
         solver = PredictorCorrector(

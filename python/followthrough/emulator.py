@@ -133,9 +133,7 @@ class Emulator(Solver):
             core = _core.PatchNewton(
                 *body,
                 *material,
-                np.zeros(0)
-                if pin_stiffness is None
-                else array_checks.per_vertex("pin_stiffness", pin_stiffness, len(rest)),
+                array_checks.optional_per_vertex("pin_stiffness", pin_stiffness, len(rest)),
                 start,
                 list(zip(schedule.iterations, passes, strict=True)),
                 schedule.most_passes,

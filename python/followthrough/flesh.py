@@ -120,6 +120,12 @@ def elastic_body(volume: Volume, flesh: Flesh) -> ElasticBody:
     )
 
 
+def soft_pins(body: ElasticBody, flesh: Flesh) -> FloatArray:
+    """Stiffness (n,) of the springs that soft pins are to a body of this flesh, N/m."""
+    stiffness: FloatArray = body.lumped_mass * flesh.pin_stiffness
+    return stiffness
+
+
 def true_solver(volume: Volume, flesh: Flesh, dt: float, **options: Any) -> ImplicitEuler:
     """Finite elements of this flesh; options as `ImplicitEuler` has them."""
     body = elastic_body(volume, flesh)
@@ -128,7 +134,7 @@ def true_solver(volume: Volume, flesh: Flesh, dt: float, **options: Any) -> Impl
         flesh.constrained,
         dt,
         gravity=flesh.gravity,
-        pin_stiffness=body.lumped_mass * flesh.pin_stiffness,
+        pin_stiffness=soft_pins(body, flesh),
         **options,
     )
 

@@ -56,7 +56,7 @@ class Quasistatic:
         if tolerance is not None:
             settings.tolerance = float(tolerance)
         count = body.vertex_count
-        pins = np.zeros(0) if pin_stiffness is None else array_checks.per_vertex("pin_stiffness", pin_stiffness, count)
+        pins = array_checks.optional_per_vertex("pin_stiffness", pin_stiffness, count)
         self._core = _core.Quasistatic(
             body._core,
             body.material,

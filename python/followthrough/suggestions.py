@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from followthrough import mesh
 from followthrough.character import FloatArray, Paint, Surface, flesh_thickness
-from followthrough.elastic import ElasticBody
-from followthrough.flesh import POISSON_RATIO, Flesh, loose_vertices, paint_flesh
+from followthrough.flesh import Flesh, elastic_body, loose_vertices, paint_flesh, soft_pins
 from followthrough.quasistatic import Quasistatic
 from followthrough.settings import SimulationSettings, VolumeSettings
 from followthrough.volume import HARD_PIN, Volume, build_volume
@@ -86,9 +85,7 @@ def pins_near_bones(surface: Surface) -> FloatArray:
 def sag(volume: Volume, flesh: Flesh) -> FloatArray:
     """How far each vertex (n,) of a volume gives way to a steady acceleration in the worst direction, m for 1 m/s²."""
     rest = volume.tet_mesh.vertices
-    body = ElasticBody(
-        rest, volume.tet_mesh.tets, flesh.youngs_modulus, density=flesh.density, poisson_ratio=POISSON_RATIO
-    )
+    body = elastic_body(volume, flesh)
     little = 1e-3 * volume.surface.size
     moved = []
     for axis in np.eye(3):
@@ -97,7 +94,7 @@ def sag(volume: Volume, flesh: Flesh) -> FloatArray:
             flesh.constrained,
             tolerance=1e-3,
             gravity=little * axis,
-            pin_stiffness=body.lumped_mass * flesh.pin_stiffness,
+            pin_stiffness=soft_pins(body, flesh),
         )
         moved.append((layer.solve(rest) - rest) / little)
     farthest: FloatArray = np.linalg.norm(np.stack(moved, axis=2), ord=2, axis=(1, 2))

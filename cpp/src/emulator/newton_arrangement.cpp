@@ -49,25 +49,17 @@ void require_constants(const NewtonBody& body, Eigen::Index count) {
   require_finite("rest_positions", body.rest_positions);
   require_indices("tets", body.tets, count);
   require_rows("constrained", body.constrained.size(), count);
-  const auto require_positive = [count](const char* name, const Vector& values) {
+  const auto require_numbers = [count](const char* name, const Vector& values, bool or_zero) {
     require_rows(name, values.size(), count);
     for (Eigen::Index v = 0; v < count; ++v) {
-      if (!(std::isfinite(values[v]) && values[v] > 0.0)) {
-        throw InvalidInput(name, "found " + std::to_string(values[v]) + " at vertex " + std::to_string(v) +
-                                     ", expected finite numbers, more than 0");
-      }
+      if (std::isfinite(values[v]) && (values[v] > 0.0 || (or_zero && values[v] == 0.0))) continue;
+      throw InvalidInput(name, "found " + std::to_string(values[v]) + " at vertex " + std::to_string(v) +
+                                   ", expected finite numbers, " + (or_zero ? "0 or more" : "more than 0"));
     }
   };
-  require_positive("youngs_modulus", body.youngs_modulus);
-  require_positive("density", body.density);
-  if (body.pin_stiffness.size() > 0) {
-    require_rows("pin_stiffness", body.pin_stiffness.size(), count);
-    for (Eigen::Index v = 0; v < count; ++v) {
-      if (std::isfinite(body.pin_stiffness[v]) && body.pin_stiffness[v] >= 0.0) continue;
-      throw InvalidInput("pin_stiffness", "found " + std::to_string(body.pin_stiffness[v]) + " at vertex " + std::to_string(v) +
-                                              ", expected finite numbers, 0 or more");
-    }
-  }
+  require_numbers("youngs_modulus", body.youngs_modulus, false);
+  require_numbers("density", body.density, false);
+  if (body.pin_stiffness.size() > 0) require_numbers("pin_stiffness", body.pin_stiffness, true);
   if (!(std::isfinite(body.dt) && body.dt > 0.0)) {
     throw InvalidInput("dt", "found " + std::to_string(body.dt) + ", expected a positive number of seconds");
   }
@@ -498,7 +490,7 @@ void NewtonProblem::arrange_coarse(const std::vector<double>& neighbour_masses) 
     // Of a tet each corner has a tenth of the mass on the diagonal, twice what it has with each of the others.
     double own = 0;
     for (Index edge = edge_starts[size(row)]; edge < edge_starts[size(row) + 1]; ++edge) own += neighbour_masses[size(edge)];
-    const double pin = !pins.data() ? 0.0 : static_cast<double>(pins.data()[row]);
+    const double pin = pins.data() ? static_cast<double>(pins.data()[row]) : 0.0;
     entries.push_back({row, row, row_places[size(row)], 2.0 / 3.0 * own + pin});
     for (Index edge = edges.higher; edge < edges.end; ++edge) {
       const std::int32_t other = edge_rows[size(edge)];

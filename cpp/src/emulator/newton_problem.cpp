@@ -97,7 +97,7 @@ void NewtonProblem::begin(const NewtonHistory& h) {
       to[3 * next] = static_cast<float>((x1 - x0) - (x0 - before));
       to[4 * next] = static_cast<float>(acceleration - ((u1 - u2) - (u2 - u3)));
       to[5 * next] = static_cast<float>((x0 - before) - (before - before_that));
-      if (row_frame.pins) ways.data()[std::int64_t{k} * padded + row] = static_cast<float>(x1 - ahead);
+      if (pins.data()) ways.data()[std::int64_t{k} * padded + row] = static_cast<float>(x1 - ahead);
     }
   }
   std::fill_n(motion.data(), 3 * size(padded), 0.0f);
@@ -382,7 +382,7 @@ std::vector<double> NewtonProblem::island_energies() const {
   for (std::int32_t row = 0; row < free_count; ++row) {
     const Eigen::RowVector3d there = Eigen::RowVector3d::Map(positions.data() + 3 * size(row));
     double& sum = sums_of[islands[size(row)]] += lumped_inertia(row, there);
-    if (row_frame.pins) sum += 0.5 * static_cast<double>(pins.data()[row]) * (there - in_edges(target, row)).squaredNorm();
+    if (pins.data()) sum += 0.5 * static_cast<double>(pins.data()[row]) * (there - in_edges(target, row)).squaredNorm();
   }
   for (std::int32_t group = 0; group < part_tets.back(); ++group) {
     for (std::int32_t lane = 0; lane < kNewtonGroup; ++lane) {

@@ -37,6 +37,8 @@ enum class Tangent { convex, exact };
 struct NewtonProblem {
   /// Groups of 16 rows in a part: fixed, so that sums do not depend on threads.
   static constexpr std::int32_t part_groups = 16;
+  /// Share of the preconditioned residual that conjugate gradients usually leave.
+  static constexpr double usual_tolerance = 0.01;
 
   /// (newton_arrangement.cpp)
   explicit NewtonProblem(const NewtonBody& body);
@@ -51,7 +53,7 @@ struct NewtonProblem {
   double assemble(Tangent tangent);
   /// Finds the direction by so many iterations at most, or fewer that leave so much of the preconditioned residual; `slope` is that
   /// of the energy along it. It is the convex tangent's where the exact one turns out not to be positive definite.
-  void solve(int most, double tolerance = 0.01);
+  void solve(int most, double tolerance = usual_tolerance);
   /// Root mean square of the direction that has just been found, in edges.
   double direction_length() const;
   /// What the guide of the start, or of a pass that has been solved, is told: brought up to date by `record` of every row, where it

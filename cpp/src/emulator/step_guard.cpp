@@ -29,6 +29,8 @@ constexpr double slow_rate = 0.5, greatest_rate = 0.9;
 // The least that a step is trusted to leave before it has been looked at.
 constexpr double least_rate = 0.1;
 
+bool none(const std::vector<bool>& flags) { return std::find(flags.begin(), flags.end(), true) == flags.end(); }
+
 }  // namespace
 
 bool StepGuard::TakenStep::good(double energy_there, double left_there) const {
@@ -73,8 +75,7 @@ double StepGuard::expected_error(double reach) const {
 bool StepGuard::ends_frame(double reach, double enough) const {
   if (eager_ || !directions_exact_ || steps_ == 0 || !(rate_ <= slow_rate)) return false;
   if (!(std::max(rate_, least_rate) * expected_error(reach) < enough)) return false;
-  const std::vector<bool> goes = better_off_at_reference();
-  return std::find(goes.begin(), goes.end(), true) == goes.end();
+  return none(better_off_at_reference(problem_.island_energies()));
 }
 
 double StepGuard::evaluate(Tangent tangent) {
@@ -106,24 +107,23 @@ double StepGuard::evaluate_step() {
   return left_;
 }
 
-// Islands whose energy at the reference would be less for inertia alone.
-std::vector<bool> StepGuard::better_off_at_reference() const {
-  const std::vector<double> before = problem_.island_energies(), inertia = problem_.island_inertia_at_reference();
-  std::vector<bool> goes(before.size());
-  for (std::size_t k = 0; k < goes.size(); ++k) goes[k] = inertia[k] < before[k];
+// Islands that may have less energy at the reference than these: inertia alone has.
+std::vector<bool> StepGuard::better_off_at_reference(const std::vector<double>& energies) const {
+  const std::vector<double> inertia = problem_.island_inertia_at_reference();
+  std::vector<bool> goes(energies.size());
+  for (std::size_t k = 0; k < goes.size(); ++k) goes[k] = inertia[k] < energies[k];
   return goes;
 }
 
 bool StepGuard::go_to_better_reference() {
   const double energy = problem_.energy;
   const std::vector<double> before = problem_.island_energies();
-  std::vector<bool> goes = better_off_at_reference();
-  const auto none_goes = [&] { return std::find(goes.begin(), goes.end(), true) == goes.end(); };
+  std::vector<bool> goes = better_off_at_reference(before);
   const auto go = [&] {
     problem_.go_to_reference(goes);
     problem_.assemble(Tangent::convex);
   };
-  if (none_goes()) return false;
+  if (none(goes)) return false;
   problem_.save();
   go();
   const std::vector<double> there = problem_.island_energies();
@@ -135,7 +135,7 @@ bool StepGuard::go_to_better_reference() {
   }
   if (!all_gain) {
     problem_.go_back_and_move(0.0);
-    if (none_goes()) return false;
+    if (none(goes)) return false;
     go();
   }
   if (problem_.energy < energy) return true;

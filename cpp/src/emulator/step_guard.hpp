@@ -41,7 +41,7 @@ class StepGuard {
   int iterations(int of_pass) const { return slow_ ? 2 * of_pass : of_pass; }
   /// The share of the preconditioned residual that they may leave: less after such a step, for the same reason. A coarse system
   /// counts what reaches far as well.
-  double tolerance() const { return slow_ && !problem_.coarse ? slow_tolerance : usual_tolerance; }
+  double tolerance() const { return slow_ && !problem_.coarse ? slow_tolerance : NewtonProblem::usual_tolerance; }
   /// A direction has been found.
   void has_solved(int of_pass) { directions_exact_ = directions_exact_ && (problem_.coarse || problem_.iterations < of_pass); }
   /// Whether a guide may make the step of the direction that has been found. Where all of the frame's directions are exact, guides
@@ -87,10 +87,10 @@ class StepGuard {
   };
 
   static constexpr int most_guided = 2;
-  static constexpr double near_end = 0.02, usual_tolerance = 0.01, slow_tolerance = 0.003;
+  static constexpr double near_end = 0.02, slow_tolerance = 0.003;
 
   double evaluate_step();
-  std::vector<bool> better_off_at_reference() const;
+  std::vector<bool> better_off_at_reference(const std::vector<double>& energies) const;
   double retake(double share);
   double lengthen(double left);
 

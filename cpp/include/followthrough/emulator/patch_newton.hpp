@@ -6,11 +6,12 @@
 /// So do those after a frame's first two, or after a later one than the first that has left more than half of its residual, as
 /// long as conjugate gradients have solved every direction of the frame: in less than the pass's iterations or with the coarse
 /// system of large bodies. Near the end these have the exact tangent, unless that is indefinite.
-/// A step along the direction must bring the energy 1/2 (z - y) M (z - y) + W(z) down (Armijo's rule), a guide's must not raise it
-/// by more than its slope along the direction or a quarter, the last one's not at all. Else the direction is taken, or as much of
-/// it as does, or more where the energy still falls. A frame whose residuals still add up to a fiftieth of an edge after four
-/// passes may have several solutions: it begins again where the simulation starts a step (implicit_euler.hpp), with up to 48 passes
-/// without guides, to find the one that the simulation finds.
+/// A direction that, leaving no larger share than the step before it, would leave little enough ends the frame unseen.
+/// Any other step along the direction must bring the energy 1/2 (z - y) M (z - y) + W(z), and that of soft pins, down (Armijo's
+/// rule), a guide's must not raise it by more than its slope along the direction or a quarter, the last one's not at all. Else the
+/// direction is taken, or as much of it as does, or more where the energy still falls. A frame whose residuals still add up to a
+/// fiftieth of an edge after four passes may have several solutions: it begins again where the simulation starts a step
+/// (implicit_euler.hpp), with up to 48 passes without guides, to find the one that the simulation finds.
 ///
 /// A guide is a perceptron at every free vertex. It makes the coefficients of a weighted sum of the vectors of newton_patches.hpp,
 /// from their products (the signed root of |v_a . v_b| over the sum of the vectors' squares, plus 1e-9 where that is not zero) and
