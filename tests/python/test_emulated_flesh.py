@@ -94,6 +94,8 @@ def test_what_ships_is_the_simulation_soft_pins_and_all(gravity: float) -> None:
     simulation = dataclasses.replace(FLESH, gravity=gravity, quality="converged")
     true = np.array(shaken(make_flesh(volume, simulation, DT), volume))
     found = np.array(shaken(make_emulated_flesh(volume, simulation, EmulatorSettings(), DT), volume))
+    share = float(np.sqrt(np.mean((found - true) ** 2) / np.mean(true**2)))
+    print(f"gravity {gravity:g}: off by {100 * share:.2g} % of the motion")
     assert np.abs(true).max() > 0.01
     assert np.abs(found - true).max() < 0.02 * np.abs(true).max()
 

@@ -95,14 +95,14 @@ def test_every_frame_is_the_native_emulators(architecture: dict, repeats: int) -
 
 
 def test_a_hundred_frames_agree_with_the_native_emulator() -> None:
-    """To what it makes of a frame that conjugate gradients end an iteration sooner, as rounding may have it."""
+    """Passes enough that it does not count where rounding ends conjugate gradients an iteration sooner."""
     torch.manual_seed(1)
-    network = shaken(GuidedNewtonNetwork(iterations=(10, 10), most_passes=4, tolerance=0.0), gain=0.02)
+    network = shaken(GuidedNewtonNetwork(iterations=(30, 30), most_passes=6, tolerance=0.0), gain=0.02)
     sequence = swinging_bar(4e5, 0.3, frames=101)
     scene, frames = NewtonPatches.of_sequence(sequence), sequence.reference[:1]
     for _ in range(100):
-        frames = np.concatenate([frames, [one_further(network, scene, frames, sequence.reference, repeats=2)]])
-    np.testing.assert_allclose(native(network, sequence), frames, rtol=0, atol=2e-4)
+        frames = np.concatenate([frames, [one_further(network, scene, frames, sequence.reference, repeats=4)]])
+    np.testing.assert_allclose(native(network, sequence), frames, rtol=0, atol=1e-5)
     assert 0.02 < np.abs(frames - sequence.reference).max() < 5
 
 
